@@ -86,7 +86,7 @@ void checkText(const std::string& text) {
   check(found.is_discarded() || found == expected, "text: " + text);
 }
 
-/** Check texts of which a byte is another one, missing or repeated. */
+/** Check texts of which one byte was replaced, removed or repeated. */
 void checkDamagedTexts() {
   Values values;
   std::mt19937_64 random{2};

@@ -15,15 +15,15 @@ namespace {
 
 namespace ondemand = simdjson::ondemand;
 
-constexpr int DEEPEST = 100;        // level that is read here: deeper ones need much stack
-constexpr std::size_t ROOM = 4096;  // bytes for what follows a text, so that a long one is not moved for it
+constexpr int DEEPEST = 100;        // levels of nesting; nlohmann's parser reads deeper texts, without recursion
+constexpr std::size_t ROOM = 4096;  // bytes reserved behind a text, so that its closing quote does not reallocate it
 
 /** The text of an element. Without escapes it is copied once, from the source. */
 Value stringOf(ondemand::value& element) {
-  std::string_view token = element.raw_json_token();  // up to the next one
+  std::string_view token = element.raw_json_token();  // in quotes, with the space behind them
   token = token.substr(1, token.rfind('"') - 1);
   if (token.find('\\') != std::string_view::npos) return std::string(std::string_view(element.get_string()));
-  element.get_raw_json_string().value();  // takes the element, so that what follows it is checked
+  element.get_raw_json_string().value();  // consumes it: otherwise simdjson would accept a colon behind it
   return std::string(token);
 }
 
@@ -126,7 +126,7 @@ class Writer {
   static std::size_t plainUntil(const std::string& text, std::size_t start) {
     constexpr std::size_t block = 64;
     for (; start + block <= text.size(); start += block) {
-      std::uint8_t escaped = 0;  // g++ uses vectors for bytes, not for bool
+      std::uint8_t escaped = 0;  // g++ vectorises the loop for bytes, not for bool
       for (std::size_t i = 0; i < block; ++i) escaped = static_cast<std::uint8_t>(escaped | isEscaped(text[start + i]));
       if (escaped != 0) break;
     }
@@ -163,7 +163,7 @@ Value parseJson(PaddedText padded) {
     Value value = valueOf(document.get_value().value(), 1);
     if (document.current_location().error() == simdjson::OUT_OF_BOUNDS) return value;  // nothing follows
   } catch (const simdjson::simdjson_error&) {
-    // not JSON, or with what is not read here: a number at the top, an integer of more than 64 bits, more levels
+    // not JSON, or something that only nlohmann's parser accepts: a scalar at the top, an integer of more than 64 bits
   }
   return Value::parse(text, nullptr, false);
 }

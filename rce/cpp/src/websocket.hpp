@@ -17,7 +17,7 @@ class WebSocket {
    public:
     virtual ~Listener() = default;
     virtual void refused(unsigned status, std::string reason) = 0;
-    /** PADDING bytes behind the data can be read, too. */
+    /** Called with a whole message. PADDING bytes behind its data can be read, too. */
     virtual void received(bool isText, const std::uint8_t* data, std::size_t size) = 0;
     virtual void written() = 0;
     virtual void closed(std::string reason) = 0;

@@ -1,6 +1,6 @@
 """Large data messages, whose envelope is decoded without their content: scanning 10 MB of JSON takes 10 to 80 ms.
 
-The content is found by its key near the begin and by the last braces. It is replaced by a mark, and what is left is
+The content is found by its key near the beginning and by the last braces. It is replaced by a mark, and what is left is
 decoded as a frame. If the mark is found where the content belongs and the content is valid JSON, which its converter
 checks, the whole is the same frame: the result is never another one.
 """
@@ -18,7 +18,7 @@ from rce.protocol.messages.data import DataMessage
 from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
 HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
-MARK = b"-0.0"  # any JSON value that the rest of a usual frame does not contain
+MARK = b"-0.0"  # JSON value in place of the content; a usual frame has it nowhere else
 _msg = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _data = re.compile(rb'"data"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _reference = re.compile(rb'\*"[ \t\n\r]*:')  # end of a key whose value is the id of a blob
@@ -64,7 +64,7 @@ def find_content(payload: bytes, key: re.Pattern[bytes], around: int) -> Content
 
 
 def _decode_rest(payload: bytes, content: Content) -> Frame | None:
-    """Return the frame with the mark in place of the content, or None for an unusual frame."""
+    """Return the frame with the mark in place of the content. None for an unusual frame."""
     before, after = payload[: content.start], payload[content.end :]
     if MARK in before or MARK in after:
         return None

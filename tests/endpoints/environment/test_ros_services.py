@@ -127,8 +127,8 @@ async def test_response_without_reader_is_reported(
     pair: Pair, world: RosWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ros_services, "PAUSES", (0.01,))
-    # Its requests match the server's reader; the responses that it wants do not match the server's writer. It is of the
-    # server's node, so that DDS matches both at once.
+    # Its requests match the server's reader; the responses that it wants do not match the server's writer. Client and
+    # server share a node, so that DDS matches both at once.
     ros, durable = world.ros, QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     client = await ros.run(lambda: ros.node.create_client(SetBool, "/raw/flip", qos_profile=durable))
     await ros.run(lambda: client.call_async(SetBool.Request(data=True)))
