@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -42,12 +43,16 @@ HEADER_TEXT = {"type": "string", "pattern": "^[!-~]+$", "maxLength": MAX_HEADER}
 
 
 class OpenApi:
-    """Route of the document, to be added after all routes that it describes."""
+    """Route of the document, which is made by the first request: few Masters are asked for it."""
 
     def add_to(self, api: Api) -> None:
         """Add the routes."""
+        self._api = api
         api.add(Route("GET", PATH, self._show, "This document", answer=dict[str, Any], public=True))
-        self._document = msgspec.Raw(msgspec.json.encode(document(api)))
+
+    @cached_property
+    def _document(self) -> msgspec.Raw:
+        return msgspec.Raw(msgspec.json.encode(document(self._api)))
 
     async def _show(self, call: Call) -> Answer:
         return Answer(self._document)

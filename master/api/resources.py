@@ -47,7 +47,7 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)
     TracesApi(master, streams).add_to(api)
-    OpenApi().add_to(api)  # after all that it describes
+    OpenApi().add_to(api)
     Monitoring(master).add_to(api)
     live = LiveFeed(master)
     api.mount("/live", live.handle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -20,7 +21,12 @@ def add_to(state: State) -> None:
     """Put the services into the catalogue, in place of those of another version of RCE."""
     for offer in state.offers.by(SHIPPED):
         state.offers.drop(offer.name)
-    for path in sorted(FOLDER.glob("*.yaml")):
-        revision = hashlib.sha256(path.read_bytes()).hexdigest()[:32]  # instances of the same one are current
-        offer = offer_of(SHIPPED, structfile.read(path, NewOffer), revision)
-        state.offers.put(replace(offer, shared=[EVERYBODY]))
+    for declaration, revision in _declarations():
+        state.offers.put(replace(offer_of(SHIPPED, declaration, revision), shared=[EVERYBODY]))
+
+
+@cache
+def _declarations() -> list[tuple[NewOffer, str]]:
+    """Return each declaration with its revision: instances of the same one are current."""
+    paths = sorted(FOLDER.glob("*.yaml"))
+    return [(structfile.read(path, NewOffer), hashlib.sha256(path.read_bytes()).hexdigest()[:32]) for path in paths]

@@ -13,6 +13,7 @@ from twisted.internet.base import ReactorBase
 from master.access.users import Users
 from master.execution import lifecycle
 from master.storage.store import Store
+from tests.support.master.database import open_store
 from tests.support.master.entry import Ask, asking
 from tests.support.master.fleet import Fleet
 from tests.support.master.peers import LONG, Furnished, Platform
@@ -48,8 +49,7 @@ def ask(port: int) -> Ask:
 
 @pytest.fixture
 async def store(tmp_path: Path) -> AsyncIterator[Store]:
-    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
-    await store.open()
+    store = await open_store(f"sqlite:///{tmp_path / 'master.db'}")
     yield store
     await store.close()
 

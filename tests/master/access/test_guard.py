@@ -18,13 +18,13 @@ from master.access.users import Users, digest
 from master.graph.effects import Plan, Send
 from master.graph.records import Environment, EnvironmentOptions, Package, Process, Robot
 from master.graph.state import State
-from master.storage.store import Store
 from rce.api.roles import Principal
 from rce.control.calls.call import Call
 from rce.control.calls.joining import SetRemovedUsers
 from rce.control.calls.robots import DropRobot
 from rce.control.calls.services import InvalidateAuthentication
 from rce.errors import InvalidRequest, NotFound, Unauthorized
+from tests.support.master.database import open_store
 
 
 class Place(NamedTuple):
@@ -48,8 +48,7 @@ class Place(NamedTuple):
 
 @pytest.fixture
 async def place() -> AsyncIterator[Place]:
-    store = Store("sqlite://")
-    await store.open()
+    store = await open_store()
     users = Users(store)
     users.passwords.hasher = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     await users.add("ann", "secret")

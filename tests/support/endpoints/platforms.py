@@ -21,13 +21,13 @@ from endpoints.robot import server
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.frame_receiver import ServerLimits
 from master.service import Master
-from master.storage.store import Store
 from rce.control.calls.joining import Hello
 from rce.control.calls.robots import SessionExpired
 from rce.control.client import ControlClient
 from rce.control.server import listen
 from rce.process import ready
 from tests.support.endpoints.raw_robot import USER, WAIT, Robot, RobotClients, status
+from tests.support.master.database import open_store
 
 
 class Platform(RobotClients):
@@ -40,8 +40,7 @@ class Platform(RobotClients):
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self) -> None:
-        self.store = Store("sqlite://")
-        await self.store.open()
+        self.store = await open_store()
         self.master = Master(self.store, self.grace)
         cheap = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)  # tests log in often
         self.master.users.passwords.hasher = cheap

@@ -22,11 +22,11 @@ from master.api.site import Site
 from master.graph.limits import Policy
 from master.service import Master
 from master.storage.depot import Depot
-from master.storage.store import Store
 from rce.api import http as client
 from rce.packages import archive
 from rce.packages.client import PackagesClient
 from rce.web.server import Endpoint
+from tests.support.master.database import open_store
 from tests.support.master.served import PASSWORD
 
 QUOTA = 100_000
@@ -75,8 +75,7 @@ class PackagePlatform(NamedTuple):
 @asynccontextmanager
 async def serve_packages(reactor: ReactorBase, files: Path) -> AsyncIterator[PackagePlatform]:
     """Serve ann, bob and eve; `reactor` is the fixture, which checks that nothing is left behind."""
-    store = Store("sqlite://")
-    await store.open()
+    store = await open_store()
     depot = Depot(files / "depot")
     master = Master(store, 10, Policy(package_bytes=QUOTA), depot=depot)
     master.users.passwords.hasher = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)

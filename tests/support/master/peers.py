@@ -13,7 +13,6 @@ from twisted.internet.base import ReactorBase
 import rce
 from master.access.users import digest
 from master.service import Master
-from master.storage.store import Store
 from rce.api.knowledge_requests import KnowledgeAnswer
 from rce.bench.hollow import DONE
 from rce.control.calls.call import BatchResult, Call, Nothing
@@ -29,6 +28,7 @@ from rce.control.server import listen
 from rce.errors import ErrorInfo
 from rce.net.tls import Tls
 from rce.protocol import messages as m
+from tests.support.master.database import open_store
 
 T = TypeVar("T", bound=Call[Any])
 LONG = 1000.0  # a grace period that outlasts a test
@@ -123,8 +123,7 @@ class Platform:
         self.controls: list[Control] = []
 
     async def start(self) -> None:
-        self.store = Store(self.database)
-        await self.store.open()
+        self.store = await open_store(self.database)
         self.master = Master(self.store, self.grace, tls=self.tls)
         self.master.users.passwords.hasher = QUICK_HASHER
         await self.master.start()

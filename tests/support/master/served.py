@@ -22,7 +22,6 @@ from master.graph.limits import Policy
 from master.graph.state import State
 from master.service import Master
 from master.storage.depot import Depot
-from master.storage.store import Store
 from rce.api import http as client
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import Sync
@@ -46,6 +45,7 @@ from rce.control.connection import Control, Handlers
 from rce.errors import RceError
 from rce.web.server import Endpoint, parse_endpoint
 from tests.support.control import answer
+from tests.support.master.database import open_store
 
 PASSWORD = "secret"
 
@@ -186,8 +186,7 @@ async def serve(
     reactor: ReactorBase, files: Path, policy: Policy | None = None, at: str = "tcp:0:interface=127.0.0.1"
 ) -> AsyncIterator[Served]:
     """Serve a Master; `reactor` is the fixture, which checks that nothing is left behind."""
-    store = Store("sqlite://")
-    await store.open()
+    store = await open_store()
     depot = Depot(files / "depot")
     master = Master(store, 1000, policy or Policy(), depot=depot)
     master.users.passwords.hasher = argon2.PasswordHasher(
