@@ -66,9 +66,13 @@ void rawBytesOfAnySizeArriveUnchanged(World& world) {
     rce::Bytes bytes(size);
     for (std::size_t index = 0; index < size; ++index) bytes[index] = static_cast<std::uint8_t>(index * 7919 >> 3);
     pair.publisher->publish(bytes);
-    const Value got = pair.subscriber->get(WAIT);
-    demand(static_cast<const rce::Bytes&>(got.get_binary()) == bytes, std::to_string(size) + " bytes are unchanged");
+    pair.publisher->publish(std::make_shared<const rce::Bytes>(bytes));
+    for (const char* how : {" copied", " shared"}) {
+      const Value got = pair.subscriber->get(WAIT);
+      demand(static_cast<const rce::Bytes&>(got.get_binary()) == bytes, std::to_string(size) + how + " bytes are unchanged");
+    }
   }
+  throws<rce::InvalidRequest>([&] { pair.publisher->publish(std::shared_ptr<const rce::Bytes>()); }, "pointer is null");
 }
 
 void smallMessageOvertakesLargeOne(World& world) {

@@ -92,6 +92,13 @@ async def test_json_is_read_and_written_as_nlohmann_does(programs: Path) -> None
     assert "values are equal" in await output_of(programs / "json")
 
 
+@pytest.mark.skipif(bool(SANITIZERS), reason="sanitizers have their own malloc")
+async def test_large_blocks_are_kept(programs: Path) -> None:
+    faults, _, rest = (await output_of(programs / "memory")).partition(" ")
+    assert rest == "page faults\n"
+    assert int(faults) < 2000  # 100,000 without the setting
+
+
 async def test_robot_reconnects_many_times(programs: Path, platform: RealPlatform) -> None:
     assert "50 reconnections" in await output_of(programs / "reconnect", platform.url, "cppr", "50")
 

@@ -12,6 +12,7 @@
 #include <iostream>
 #include <map>
 #include <rce/client.hpp>
+#include <rce/memory.hpp>
 #include <sstream>
 
 namespace {
@@ -29,11 +30,11 @@ struct Way {
 };
 
 /** CDR of a std_msgs/UInt8MultiArray with `size` zero bytes. */
-rce::Bytes cdr(std::size_t size) {
+std::shared_ptr<const rce::Bytes> cdr(std::size_t size) {
   rce::Bytes bytes(16 + size, 0);
   bytes[1] = 1;
   for (std::size_t place = 0; place < 4; ++place) bytes[12 + place] = static_cast<std::uint8_t>(size >> (8 * place));
-  return bytes;
+  return std::make_shared<const rce::Bytes>(std::move(bytes));
 }
 
 /** Discard answers that came too late for their round trip. */
@@ -45,7 +46,7 @@ void discard(rce::Subscriber& back) {
 }
 
 /** Seconds of one round trip; throws TimedOut. */
-double roundTrip(const Way& way, const std::string& text, const rce::Bytes& bytes, double patience) {
+double roundTrip(const Way& way, const std::string& text, const std::shared_ptr<const rce::Bytes>& bytes, double patience) {
   discard(*way.back);
   const auto start = std::chrono::steady_clock::now();
   if (way.raw) {
@@ -64,6 +65,7 @@ int main(int count, char** words) {
     std::cerr << "usage: rce_round_trips URL USER ROBOT ENVIRONMENT NAMESPACE\n";
     return 2;
   }
+  rce::keepLargeBlocks();
   try {
     rce::Options options;
     options.userID = words[2];
@@ -87,7 +89,7 @@ int main(int count, char** words) {
     ways["r2r_forwarder"] = {robot.publisher("forwarder", array, toForwarder), cdrBack, true};
     std::size_t made = 0;
     std::string text;
-    rce::Bytes bytes = cdr(0);
+    std::shared_ptr<const rce::Bytes> bytes = cdr(0);
     for (std::string line; std::getline(std::cin, line);) {
       std::istringstream request(line);
       std::string form;

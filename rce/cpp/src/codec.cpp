@@ -118,6 +118,12 @@ void nameToNumber(Value& value) {
   }
 }
 
+std::string messageOf(Value data) {
+  Value frame{{"type", "DM"}};
+  frame["data"] = std::move(data);
+  return encode(frame);
+}
+
 bool endsWith(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
@@ -156,10 +162,14 @@ Encoded encodeMessage(Value data, Value msg) {
   Encoded message;
   data["msg"] = std::move(msg);
   Detacher(message.blobs).detach(data);
-  Value frame{{"type", "DM"}};
-  frame["data"] = std::move(data);
-  message.text = encode(frame);
+  message.text = messageOf(std::move(data));
   return message;
+}
+
+Encoded encodeMessage(Value data, std::shared_ptr<const Bytes> msg) {
+  const std::string id = freshId();
+  data["msg*"] = id;
+  return {messageOf(std::move(data)), {{id, std::move(msg)}}};
 }
 
 Value decode(PaddedText text) {

@@ -37,6 +37,9 @@ std::string encode(const Value& frame);
 /** Encode a DM with these `data`, and `msg` as its content. */
 Encoded encodeMessage(Value data, Value msg);
 
+/** The same with bytes as the content, which are not copied. */
+Encoded encodeMessage(Value data, std::shared_ptr<const Bytes> msg);
+
 /** Parse a text frame. Throws InvalidRequest if it is not a JSON object. */
 Value decode(PaddedText text);
 

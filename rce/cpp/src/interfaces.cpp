@@ -110,8 +110,18 @@ ErrorInfo Interface::notConnected(Seconds timeout) const {
 Publisher::Publisher(std::shared_ptr<detail::Core> core, std::string tag, std::string type, Offline offline)
     : Interface(std::move(core), std::move(tag), std::move(type)), offline_(offline) {}
 
-void Publisher::publish(Value message, Seconds timeout) {
-  detail::Encoded content = encoded(std::move(message));
+void Publisher::publish(Value message, Seconds timeout) { publishEncoded(encoded(std::move(message)), timeout); }
+
+void Publisher::publish(Bytes message, Seconds timeout) {
+  publish(std::make_shared<const Bytes>(std::move(message)), timeout);
+}
+
+void Publisher::publish(std::shared_ptr<const Bytes> message, Seconds timeout) {
+  if (!message) raise({"invalid_request", "a message for " + name() + " has no bytes: its pointer is null"});
+  publishEncoded(detail::encodeMessage(header(TOPIC_ID), std::move(message)), timeout);
+}
+
+void Publisher::publishEncoded(detail::Encoded content, Seconds timeout) {
   for (;;) {
     waitConnected(timeout);
     std::unique_lock<std::mutex> lock(mutex_);
@@ -122,8 +132,6 @@ void Publisher::publish(Value message, Seconds timeout) {
   }
   put(std::move(content), detail::KEEP_ALL);
 }
-
-void Publisher::publish(Bytes message, Seconds timeout) { publish(Value::binary(std::move(message)), timeout); }
 
 bool Publisher::offer(Value message, std::size_t keep) {
   detail::Encoded content = encoded(std::move(message));

@@ -54,6 +54,7 @@ def plain(message: Message) -> tuple[object, ...]:
     return message.source, message.msg_id, bytes(message.payload), message.destination, flags, message.senders
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_round_trip_of_interleaved_streams_with_any_fragmentation(data: st.DataObject) -> None:

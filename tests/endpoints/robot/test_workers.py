@@ -129,6 +129,7 @@ async def test_bad_picture_is_refused_without_a_line_in_the_log(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 async def test_worker_that_dies_costs_one_message() -> None:
     worker = Worker()
     request, buffers = Encode(STRING, False, []), [b'{"data":"x"}']
@@ -148,6 +149,7 @@ async def test_conversion_that_takes_too_long_ends(monkeypatch: pytest.MonkeyPat
         await asyncio.to_thread(worker.call, Encode(STRING, False, []), [b"{}"])
 
 
+@pytest.mark.slow
 async def test_conversions_of_a_stream_keep_their_order_and_its_state(real: Workers) -> None:
     pytest.importorskip("av", reason="needs PyAV: pip install '.[video]'")
     png = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from tests.support.e2e.node import run_script
 from tests.support.fake_platform import PASSWORD, FakePlatform
 from tests.support.paths import TESTS
@@ -17,6 +19,7 @@ async def _refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) ->
     writer.close()
 
 
+@pytest.mark.slow
 async def test_robot_connects_through_the_master_that_leads() -> None:
     script = str(TESTS / "js" / "two_masters.mjs")
     async with FakePlatform() as platform, await asyncio.start_server(_refuse, "127.0.0.1", 0) as server:

@@ -34,6 +34,7 @@ def test_goal_in_a_wall_has_no_path(map_file: str) -> None:
         work(PlanTask(map_file, PlanRequest(PlanPose(2, 2), PlanPose(5.05, 2))))
 
 
+@pytest.mark.slow
 def test_answer_of_the_process_has_the_error(tmp_path: Path) -> None:
     task = PlanTask(str(tmp_path / "none.yaml"), PlanRequest(PlanPose(2, 2), PlanPose(8, 2)))
     program = [sys.executable, "-P", "-m", "rce.mapservice.plan_program"]

@@ -91,6 +91,9 @@ class Publisher : public Interface, public std::enable_shared_from_this<Publishe
   /** Send the bytes of an image file or, with `raw`, of a serialized message. */
   void publish(Bytes message, Seconds timeout = connectTimeout);
 
+  /** The same without a copy: the bytes must not change until they are sent. InvalidRequest for a null pointer. */
+  void publish(std::shared_ptr<const Bytes> message, Seconds timeout = connectTimeout);
+
   /** Send without waiting, so that at most `keep` messages are queued. False if there is no peer. */
   bool offer(Value message, std::size_t keep = 1);
 
@@ -108,6 +111,7 @@ class Publisher : public Interface, public std::enable_shared_from_this<Publishe
   void statusChanged() override;
   void disconnected() override;
   detail::Encoded encoded(Value message) const;
+  void publishEncoded(detail::Encoded content, Seconds timeout);
   void put(detail::Encoded message, std::size_t keep);
   void sendNext();
   void drop(std::size_t count);

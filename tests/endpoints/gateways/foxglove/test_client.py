@@ -111,6 +111,7 @@ async def test_items_of_a_message_are_handled_apart(socket: ClientConnection) ->
     assert any("channel 2 is advertised already" in each["message"] for each in answers)
 
 
+@pytest.mark.slow
 async def test_assets_for_a_client_that_does_not_read_are_bounded(
     platform: Platform, socket: ClientConnection, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 
+import pytest
+
 from rce.bench.network.bridge import Network
 from tests.support.e2e.namespaces import network
 
@@ -15,6 +17,7 @@ def reaches(net: Network, name: str, address: str) -> bool:
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() == "111"
 
 
+@pytest.mark.slow
 def test_machines_reach_each_other_unless_a_link_is_cut() -> None:
     with network("alpha-1", "alpha-2") as net:
         assert reaches(net, "alpha-1", net.addresses["alpha-2"])

@@ -111,6 +111,7 @@ def sparse(simulation: Simulation) -> list[Scan]:
     ]
 
 
+@pytest.mark.slow
 def test_scan_that_contradicts_the_map_is_not_kept(simulation: Simulation) -> None:
     """For two scans the laser sees nothing but rain."""
     scans = sparse(simulation)

@@ -111,6 +111,7 @@ def numeric(pose: Pose, signs: tuple[int, ...], firsts: Iterable[tuple[float, ..
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES[:1])
 def test_dubins_is_the_shortest_of_all_words(pose: Pose) -> None:
     best = numeric(pose, (1,), itertools.product((0.5, 2.5, 4.6), repeat=3))
