@@ -44,7 +44,8 @@ class RgbdFrame:
         used = (blocks > 0) & (blocks <= SAME_SURFACE * nearest)
         count = used.sum(axis=0, dtype=np.float32)
         total = np.where(used, blocks, np.float32(0)).sum(axis=0, dtype=np.float32)
-        return RgbdFrame(self.stamp, color, total / np.maximum(count, np.float32(1)))
+        depth = total / np.maximum(count, np.float32(1))
+        return RgbdFrame(self.stamp, color, depth.astype(np.float32, copy=False))
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ def ridges(costmap: Costmap) -> NDArray[np.bool_]:
     free = (costmap.clearance > 0).astype(np.uint8)
     _, labels = cv2.distanceTransformWithLabels(free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     rows, columns = np.nonzero(free == 0)
-    nearest = np.zeros((labels.max() + 1, 2), np.float32)
+    nearest = np.zeros((int(labels.max()) + 1, 2), np.float32)
     nearest[labels[rows, columns]] = np.stack([columns, rows], axis=1)
     clearance = costmap.clearance / np.float32(costmap.resolution)
     found = np.zeros(free.shape, np.bool_)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from inspect import cleandoc
 from typing import Any, cast
 
 import msgspec
@@ -41,7 +42,18 @@ def schema() -> dict[str, Any]:
         "anyOf": [*from_robot, by_kind[m.Status], by_kind[m.Failure]],
         "$defs": components,
     }
-    return cast("dict[str, Any]", json.loads(json.dumps(document)))  # defaults may be tuples
+    return plain(document)
+
+
+def plain(document: dict[str, Any]) -> dict[str, Any]:
+    """Return a schema as decoded JSON, with descriptions without indentation, as Python 3.13 makes them."""
+    decoded = json.loads(json.dumps(document), object_hook=_with_plain_description)  # defaults may be tuples
+    return cast("dict[str, Any]", decoded)
+
+
+def _with_plain_description(value: dict[str, Any]) -> dict[str, Any]:
+    description = value.get("description")
+    return value | {"description": cleandoc(description)} if isinstance(description, str) else value
 
 
 if __name__ == "__main__":

@@ -207,7 +207,7 @@ class ParticleMapper:
         known = np.linalg.inv(particle_filter.SETTINGS.dependent * turn @ covariance @ turn.T) + np.linalg.inv(
             LOST_COVARIANCE
         )
-        return MIN_COVARIANCE + np.asarray(np.linalg.inv(known), np.float64)
+        return np.asarray(MIN_COVARIANCE + np.linalg.inv(known), np.float64)
 
     def _keep(self, points: Points) -> None:
         """Keep the scan for the grid unless a kept scan near by looks the same way."""

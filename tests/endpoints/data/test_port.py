@@ -170,12 +170,15 @@ async def test_next_address_is_tried_and_failed_connections_are_closed(
 
 async def test_dialling_ends_after_the_time_for_all_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(data_port, "DIAL_TIMEOUT", 0.05)
-    silent = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
+    held: list[asyncio.StreamWriter] = []  # a writer that nobody holds closes its connection
+    silent = await asyncio.start_server(lambda _, writer: held.append(writer), "127.0.0.1", 0)
     async with silent:
         address = f"tcp:127.0.0.1:{silent.sockets[0].getsockname()[1]}"
         dialling = End()
         await asyncio.wait_for(DataPort().dial(dialling.link, KEY, [address] * 100), WAIT)
         assert dialling.link.broken == "no link within 0.05 s"
+        for writer in held:
+            writer.close()
 
 
 async def test_expected_link_fails_when_nobody_connects(

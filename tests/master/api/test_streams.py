@@ -12,6 +12,7 @@ from twisted.logger import LogEvent
 from master.api import streams
 from rce.api.views import Event
 from rce.errors import Lost
+from tests.support.endpoints.raw_robot import eventually
 from tests.support.master.served import Served
 from tests.support.master.sse import follow
 
@@ -86,6 +87,7 @@ async def test_defect_breaks_the_stream_off(
     assert (await follower.next())["text"] == "a"
     with contextlib.suppress(ConnectionError):
         assert b"0\r\n\r\n" not in await follower.read_some(), "it must not look complete"
+    await eventually(lambda: bool(failures))
     assert [event["log_failure"].type for event in failures] == [ZeroDivisionError]
     failures.clear()
     await follower.close()

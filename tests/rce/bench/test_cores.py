@@ -52,9 +52,13 @@ def test_machine_with_one_core_stays_as_it_is(children: list[int], monkeypatch: 
 
 
 def test_program_is_known_by_its_module() -> None:
-    with subprocess.Popen((sys.executable, "-m", "http.server", "0"), stderr=subprocess.DEVNULL) as process:
-        found = psutil.Process(process.pid)
-        assert runs(found, "http.server")
-        assert not runs(found, "http")
-        process.kill()
+    with subprocess.Popen((sys.executable, "-u", "-m", "http.server", "0"), stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()  # its arguments may be missing at first
+            found = psutil.Process(process.pid)
+            assert runs(found, "http.server")
+            assert not runs(found, "http")
+        finally:
+            process.kill()
     assert not runs(psutil.Process(), "http.server")
