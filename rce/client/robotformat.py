@@ -33,7 +33,7 @@ from rce.protocol.messages import (
     Rates,
     SetParameter,
 )
-from rce.protocol.schema import plain
+from rce.protocol.schema import normalized
 
 log = logging.getLogger("rce.client")
 
@@ -174,7 +174,7 @@ def read(path: Path) -> RobotFile:
 
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of robot files."""
-    return plain({"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(RobotFile)})
+    return normalized({"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(RobotFile)})
 
 
 if __name__ == "__main__":

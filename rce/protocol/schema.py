@@ -42,16 +42,16 @@ def schema() -> dict[str, Any]:
         "anyOf": [*from_robot, by_kind[m.Status], by_kind[m.Failure]],
         "$defs": components,
     }
-    return plain(document)
+    return normalized(document)
 
 
-def plain(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema as decoded JSON, with descriptions without indentation, as Python 3.13 makes them."""
-    decoded = json.loads(json.dumps(document), object_hook=_with_plain_description)  # defaults may be tuples
+def normalized(document: dict[str, Any]) -> dict[str, Any]:
+    """Return a schema as decoded JSON. Its descriptions have no indentation, which only Python before 3.13 keeps."""
+    decoded = json.loads(json.dumps(document), object_hook=_without_indentation)  # defaults may be tuples
     return cast("dict[str, Any]", decoded)
 
 
-def _with_plain_description(value: dict[str, Any]) -> dict[str, Any]:
+def _without_indentation(value: dict[str, Any]) -> dict[str, Any]:
     description = value.get("description")
     return value | {"description": cleandoc(description)} if isinstance(description, str) else value
 

@@ -1,4 +1,4 @@
-"""Databases of tests. Their tables are made at once: the migrations take longer than most tests."""
+"""Databases of tests. Their tables are created from a dump: the migrations take longer than most tests."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ MEMORY = "sqlite://"
 async def open_store(url: str = MEMORY) -> Store:
     """Open an SQLite database. A new one gets the tables of this version."""
     store = Store(url)
-    await store.prepare(create_tables)
+    await store.prepare(_create_tables)
     await store.open()
     return store
 
 
-def create_tables(connection: sa.Connection) -> None:
-    """Make what the migrations make, if an SQLite database is empty."""
+def _create_tables(connection: sa.Connection) -> None:
+    """Create what the migrations create, if the database is empty."""
     if sa.inspect(connection).get_table_names():
         return
     for statement in _statements():
@@ -31,6 +31,7 @@ def create_tables(connection: sa.Connection) -> None:
 
 @cache
 def _statements() -> list[str]:
+    """Return the dump of an SQLite database that the migrations have created."""
     engine = sa.create_engine(MEMORY)
     upgrade(engine)
     with engine.connect() as connection:

@@ -91,7 +91,7 @@ class Publisher : public Interface, public std::enable_shared_from_this<Publishe
   /** Send the bytes of an image file or, with `raw`, of a serialized message. */
   void publish(Bytes message, Seconds timeout = connectTimeout);
 
-  /** The same without a copy: the bytes must not change until they are sent. InvalidRequest for a null pointer. */
+  /** The same without a copy: the bytes must not change until they are sent. Throws InvalidRequest for a null pointer. */
   void publish(std::shared_ptr<const Bytes> message, Seconds timeout = connectTimeout);
 
   /** Send without waiting, so that at most `keep` messages are queued. False if there is no peer. */
