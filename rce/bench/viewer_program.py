@@ -55,6 +55,12 @@ class Seen(Struct):
     bytes: int = 0
     encoded: int = 0
 
+    def add(self, other: Seen) -> None:
+        """Add what other viewers have seen of other messages."""
+        self.messages += other.messages
+        self.bytes += other.bytes
+        self.encoded += other.encoded
+
 
 class Viewers:
     """The viewers of a task."""

@@ -11,11 +11,12 @@ import asyncio
 import os
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 
 import msgspec
 import psutil
-from msgspec import Struct
+from msgspec import Struct, field
 
 from rce.bench import camera_program, viewer_program
 from rce.bench.cores import runs, set_apart
@@ -26,32 +27,38 @@ from rce.bench.statistics import percentile
 from rce.bench.viewer_program import Seen, Task
 from rce.errors import InvalidRequest
 
+ROUNDS = 5
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
 ENDING = 30.0  # seconds until a program is killed that should end
 # Cameras and viewers run on other machines in real life, so here they run only while the platform does not.
 ELSEWHERE = ("chrt", "--idle", "0")
 
 
-class Phase(Struct, frozen=True):
-    """Round trips of the control loop in one phase.
+class Phase(Struct):
+    """Round trips of the control loop in one phase of all rounds.
 
     Attributes:
         name: What happens beside the loop.
-        p50: Median in seconds.
-        p99: 99th percentile in seconds.
+        times: Sorted round trips in seconds.
         images: Images that were sent in the phase.
         seen: What the viewers have seen; None without viewers.
     """
 
     name: str
-    p50: float
-    p99: float
+    times: list[float] = field(default_factory=list)
     images: int = 0
     seen: Seen | None = None
+
+    def percentile(self, percent: float) -> float:
+        """Return a percentile in seconds."""
+        return percentile(self.times, percent)
 
 
 async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
     """Return the phases: quiet, with a camera, and with the viewers of it.
+
+    They take turns in several rounds, since the delays of a shared machine differ more from minute to minute than
+    the phases do.
 
     Args:
         place: Robot and environment.
@@ -70,29 +77,39 @@ async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
         await environment.subscriber("/arrival", "std_msgs/Float64"),
     )
     await commands.wait_for_node()
-    quiet = await _phase("quiet", commands, samples)
     where = {"url": address.url, "environment": environment.tag, "user": address.user}
     access = {"password": address.password, "key": address.key}
-    async with film(
-        msgspec.convert({**where, **access, "robot": f"{place.robot.name}_camera"}, camera_program.Place)
-    ) as camera:
-        alone = await _phase("one camera", commands, samples, camera)
+    camera_place = msgspec.convert({**where, **access, "robot": f"{place.robot.name}_camera"}, camera_program.Place)
+    phases = [Phase("quiet"), Phase("one camera"), Phase(f"and {task.count} viewers", seen=Seen())]
+    for number in range(ROUNDS):
+        count = len(range(number, samples, ROUNDS))
+        await _round(phases, commands, camera_place, msgspec.structs.replace(task, **where, **access), count)
+    for phase in phases:
+        phase.times.sort()
+    return phases
+
+
+async def _round(
+    phases: list[Phase], commands: CommandStream, place: camera_program.Place, task: Task, count: int
+) -> None:
+    """Add `count` commands to each phase."""
+    quiet, alone, beside = phases
+    await _measure(quiet, commands, count)
+    async with film(place) as camera:
+        await _measure(alone, commands, count)
+        alone.images += await camera.sent()
         before = await camera.sent()
-        async with crowd(msgspec.structs.replace(task, **where, **access)) as seen:
+        async with crowd(task) as seen:
             await asyncio.sleep(SETTLING)
-            beside = await _phase(f"and {task.count} viewers", commands, samples, camera)
-            await asyncio.sleep(SETTLING)
-            images = await camera.sent() - before
-        found = await seen
-    return [quiet, alone, msgspec.structs.replace(beside, images=images, seen=found)]
+            await _measure(beside, commands, count)
+            beside.images += await camera.sent() - before
+        assert beside.seen is not None
+        beside.seen.add(await seen)
 
 
-async def _phase(name: str, commands: CommandStream, samples: int, camera: Camera | None = None) -> Phase:
-    before = await camera.sent() if camera is not None else 0
+async def _measure(phase: Phase, commands: CommandStream, count: int) -> None:
     set_apart(_is_measured)
-    taken = sorted(each.back for each in await commands.measure(samples))
-    images = await camera.sent() - before if camera is not None else 0
-    return Phase(name, percentile(taken, 50), percentile(taken, 99), images)
+    phase.times += [each.back for each in await commands.measure(count)]
 
 
 def _is_measured(process: psutil.Process) -> bool:
@@ -125,9 +142,10 @@ async def program(module: str) -> AsyncIterator[Program]:
     """Run a module until its standard input ends, or kill it."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(
-        *ELSEWHERE, sys.executable, "-P", "-m", module, stdin=pipe, stdout=pipe
+        *ELSEWHERE, sys.executable, "-P", "-m", module, stdin=pipe, stdout=pipe, start_new_session=True
     )
     assert process.stdin is not None
+    _give_way(process.pid)
     try:
         yield Program(process)
         process.stdin.close()
@@ -136,6 +154,12 @@ async def program(module: str) -> AsyncIterator[Program]:
         if process.returncode is None:
             process.kill()
         await process.wait()
+
+
+def _give_way(pid: int) -> None:
+    """Lower the priority of a process's session, among which a kernel with autogroups shares the processor."""
+    with suppress(OSError):
+        Path(f"/proc/{pid}/autogroup").write_text("19")
 
 
 class Camera:
@@ -180,8 +204,9 @@ async def crowd(task: Task) -> AsyncIterator[asyncio.Future[Seen]]:
 def as_text(phases: list[Phase]) -> str:
     """Return a table in milliseconds, and what the viewers have seen."""
     head = ["control loop, ms", "p50", "p99", "of the quiet p99"]
+    quiet = phases[0].percentile(99)
     rows = [
-        [each.name, f"{each.p50 * 1e3:.2f}", f"{each.p99 * 1e3:.2f}", f"{each.p99 / phases[0].p99:.2f}"]
+        [each.name, *(f"{each.percentile(at) * 1e3:.2f}" for at in (50, 99)), f"{each.percentile(99) / quiet:.2f}"]
         for each in phases
     ]
     lines, last = list(aligned([head, *rows])), phases[-1]

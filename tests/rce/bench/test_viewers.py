@@ -65,6 +65,6 @@ async def test_viewers_that_cannot_connect_are_an_error(tmp_path: Path, monkeypa
 
 def test_table_says_how_often_images_were_encoded() -> None:
     seen = Seen(messages=100, bytes=5_000_000, encoded=20)
-    table = as_text([Phase("quiet", 0.001, 0.002), Phase("and 5 viewers", 0.002, 0.003, 21, seen)])
+    table = as_text([Phase("quiet", [0.001, 0.002]), Phase("and 5 viewers", [0.002, 0.003], 21, seen)])
     assert "1.50" in table
     assert "21 images sent; encoded 20 times, received 100 times" in table
