@@ -138,7 +138,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
             addresses,
             url,
             robots=list(endpoint.sessions),
-            away=endpoint.away(),
+            away=endpoint.report_away(),
             credential=credential.own,
         )
 

@@ -46,8 +46,12 @@ def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
 
 
+def _skip_format(_: object) -> str:
+    return ""
+
+
 # Its parser calls the first. The second formats a debug message at each connection: a sixth of the cost of a login.
-vars(protocol).update(create_xor_masker=Unmasker, pformat=repr)
+vars(protocol).update(create_xor_masker=Unmasker, pformat=_skip_format)
 
 
 class ClientSocket(WebSocketServerProtocol):

@@ -52,6 +52,7 @@ from rce.protocol.names import parse_type
 EXPIRY_RETRY = 1.0  # seconds
 MAX_ROBOTS = 10_000  # without a session, whose streams are remembered
 FORGET = 16  # robots at most that are forgotten at once
+ENDED = "the session has ended"
 LOGIN_WAIT = 5.0  # seconds for the Master to come back; shorter than robots wait, so that they get the reason
 
 log = Logger()
@@ -106,6 +107,7 @@ class RobotEndpoint:
         self._types: dict[str, UserTypes] = {}  # by user: users do not see each other's types
         self._grace_timers: dict[str, asyncio.TimerHandle] = {}  # of sessions without a socket
         self._expiring: dict[str, asyncio.Task[None]] = {}
+        self._known_away: set[str] = set()  # robots that were reported to have no socket
         self._tasks: set[asyncio.Task[None]] = set()
         self._incarnation = uuid.uuid4().hex  # of the streams: they are known as long as this object lives
         self._streams: dict[str, Streams] = {}  # by robot
@@ -194,7 +196,11 @@ class RobotEndpoint:
         self._start_grace(session)
         return session
 
-    def _remove_session(self, name: str, reason: str = "the session has ended") -> RobotSession | None:
+    def _forget_robot(self, name: str, reason: str) -> RobotSession | None:
+        self._known_away.discard(name)
+        return self._remove_session(name, reason)
+
+    def _remove_session(self, name: str, reason: str = ENDED) -> RobotSession | None:
         session = self.sessions.pop(name, None)
         if session is not None:
             session.end(reason)
@@ -218,17 +224,25 @@ class RobotEndpoint:
             budget = self._budgets[user] = Budget(self._queues // 2, self._budget)
         return Budget(self._queues // 4, budget)
 
-    def away(self) -> list[str]:
-        """Return the names of the robots that have a session but no socket."""
-        return [name for name, session in self.sessions.items() if session.socket is None]
+    def report_away(self) -> list[str]:
+        """Return the names of the robots that have a session but no socket, to be reported to the Master."""
+        away = [name for name, session in self.sessions.items() if session.socket is None]
+        self._known_away.update(away)
+        return away
 
     def connected(self, session: RobotSession) -> None:
-        """Report to the Master that the robot has an open socket."""
-        self._start_task(self._report(SocketStatus(session.name, True)))
+        """Report to the Master that the robot has a socket again; that a new one has a socket follows from its login.
+
+        A report of the socket before may reach the Master after the login.
+        """
+        if session.name in self._known_away:
+            self._known_away.discard(session.name)
+            self._start_task(self._report(SocketStatus(session.name, True)))
 
     def disconnected(self, session: RobotSession) -> None:
         """Report to the Master that the robot lost its socket, and start its grace time."""
         if self.sessions.get(session.name) is session:
+            self._known_away.add(session.name)
             self._start_task(self._report(SocketStatus(session.name, False)))
             self._start_grace(session)
 
@@ -258,7 +272,7 @@ class RobotEndpoint:
                 await asyncio.sleep(EXPIRY_RETRY)
                 continue
             if self.sessions.get(session.name) is session and session.socket is None:
-                self._remove_session(session.name, "")
+                self._forget_robot(session.name, "")
             return
 
     def data(self, session: RobotSession, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
@@ -276,7 +290,7 @@ class RobotEndpoint:
 
     async def _sync(self, call: Sync) -> BatchResult:
         for name in set(self.sessions) - set(call.robots):
-            self._remove_session(name)
+            self._forget_robot(name, ENDED)
         return BatchResult(await self.switchboard.sync(call, self._make_interface))
 
     async def _make_interface(self, spec: InterfaceSpec) -> Interface:
@@ -312,7 +326,7 @@ class RobotEndpoint:
                 session.error(RceError.from_info(call.error))
 
     def _drop_robot(self, call: DropRobot) -> None:
-        session = self._remove_session(call.robot, call.reason)
+        session = self._forget_robot(call.robot, call.reason)
         if session is not None:
             for interface in list(session.interfaces.values()):
                 self.switchboard.unbind(interface.spec.id)

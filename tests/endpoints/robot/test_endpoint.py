@@ -44,12 +44,14 @@ class FakeMaster:
         self.calls: list[Call[Any]] = []
         self.refusals: dict[type[Call[Any]], Exception] = {}
         self.login = LoggedIn("token", False)
+        self.login_takes = 0.0  # seconds
 
     async def call(self, call: Call[Any], wait: float = 10.0) -> Any:
         self.calls.append(call)
         if type(call) in self.refusals:
             raise self.refusals[type(call)]
         if isinstance(call, Login):
+            await asyncio.sleep(self.login_takes)
             return self.login
         return Definitions({"mine/msg/Thing": "int32 a"}) if isinstance(call, DescribeType) else None
 
@@ -141,10 +143,37 @@ def test_resumed_session_is_kept_and_another_one_is_replaced(trial: Trial) -> No
 
 def test_robot_is_away_while_it_has_no_socket(trial: Trial) -> None:
     session, socket = trial.connect()
-    assert trial.endpoint.away() == []
+    assert trial.endpoint.report_away() == []
     trial.lose(session, socket)
-    assert trial.endpoint.away() == [NAME]
-    assert [call.connected for call in trial.master.of(SocketStatus)] == [True, False]
+    assert trial.endpoint.report_away() == [NAME]
+
+
+def test_loss_of_a_socket_and_its_successor_are_reported(trial: Trial) -> None:
+    session, socket = trial.connect()
+    assert trial.master.of(SocketStatus) == []  # the login says it
+    trial.lose(session, socket)
+    trial.connect()
+    assert [call.connected for call in trial.master.of(SocketStatus)] == [False, True]
+    trial.connect()
+    assert len(trial.master.of(SocketStatus)) == 2
+
+
+def test_socket_that_opens_after_a_hello_without_it_is_reported(trial: Trial) -> None:
+    session = trial.log_in().result().session
+    assert trial.endpoint.report_away() == [NAME]
+    trial.hand.do(lambda: trial.endpoint.connected(session))
+    assert [call.connected for call in trial.master.of(SocketStatus)] == [True]
+
+
+def test_socket_lost_during_a_login_does_not_leave_its_robot_away(trial: Trial) -> None:
+    session, socket = trial.connect()
+    trial.master.login, trial.master.login_takes = LoggedIn("second", False), 1.0
+    login = trial.log_in()
+    trial.lose(session, socket)  # this report reaches the Master after the login
+    trial.hand.turn(2)
+    fresh = login.result().session
+    trial.hand.do(lambda: trial.endpoint.connected(fresh))
+    assert [call.connected for call in trial.master.of(SocketStatus)] == [False, True]
 
 
 def test_session_without_socket_ends_after_grace_time(trial: Trial) -> None:
@@ -241,8 +270,10 @@ def test_streams_are_kept_of_robots_that_have_sent_numbered_messages(trial: Tria
 
 def test_unreported_status_does_no_harm(trial: Trial) -> None:
     trial.master.refusals[SocketStatus] = Unavailable("away")
-    trial.connect()
-    assert list(trial.endpoint.sessions) == [NAME]
+    session, socket = trial.connect()
+    trial.lose(session, socket)
+    assert trial.endpoint.sessions == {NAME: session}
+    assert len(trial.master.of(SocketStatus)) == 1
 
 
 def test_data_for_unknown_interface_is_refused(trial: Trial) -> None:

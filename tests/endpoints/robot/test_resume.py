@@ -91,7 +91,7 @@ async def test_master_knows_robots_without_socket(platform: Platform) -> None:
     assert is_state("connected")()
     first.socket.transport.abort()
     await eventually(is_state("away"))
-    assert platform.endpoint.away() == [f"{USER}/a"]
+    assert platform.endpoint.report_away() == [f"{USER}/a"]
     state.away.clear()
     reconcile.joined(
         state, state.processes["robot-1"], Hello("robot", "", "", "", robots=[f"{USER}/a"], away=[f"{USER}/a"]), new_id
@@ -99,7 +99,7 @@ async def test_master_knows_robots_without_socket(platform: Platform) -> None:
     assert is_state("away")()
     await log_in(platform, "a", resume=token)
     await eventually(is_state("connected"))
-    assert platform.endpoint.away() == []
+    assert platform.endpoint.report_away() == []
 
 
 async def test_second_socket_takes_over_from_open_one(platform: Platform) -> None:
