@@ -137,6 +137,7 @@ class Master:
         """Cancel what runs, and store what changed."""
         self.gauges.close()
         await self._runner.close()
+        await self.audit.flush()
 
     async def save(self) -> None:
         """Return when all changes are stored."""

@@ -1,7 +1,7 @@
 """Audit log: who did what to what, from where, with what result. Entries are added and never changed.
 
 Entries are written in batches in the database's thread, so that commands do not wait for them. If the Master is killed,
-the entries of its last milliseconds are lost.
+the entries of the last `COLLECTING` seconds are lost.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from rce.protocol.messages import Command
 from rce.protocol.names import MAX_TAG
 
 DAY = 86_400.0
+COLLECTING = 0.05  # seconds for which entries are collected: a transaction of each would delay the next command
 MAX_WAITING = 100_000  # entries in memory while the database fails
 MAX_UNAUTHENTICATED = 600  # entries a minute of unauthenticated clients, which must not fill the disk
 MAX_OBJECT = 1500  # characters
@@ -143,7 +144,7 @@ class Audit:
         return self._unauthenticated <= MAX_UNAUTHENTICATED
 
     async def _write_all(self) -> None:
-        await asyncio.sleep(0)  # collect what happens in this iteration of the loop
+        await asyncio.sleep(COLLECTING)
         while self._waiting:
             entries, self._waiting = self._waiting, []
             try:
@@ -155,9 +156,10 @@ class Audit:
 
     async def flush(self) -> None:
         """Return when all entries are written."""
-        if self._write is None or self._write.done():
+        if self._waiting and (self._write is None or self._write.done()):
             self._write = asyncio.create_task(self._write_all())
-        await asyncio.shield(self._write)  # who waits may be cancelled, and the entries must be written
+        if self._write is not None:
+            await asyncio.shield(self._write)  # who waits may be cancelled, and the entries must be written
 
     async def find(self, wanted: AuditFilter, before: int | None, limit: int) -> list[AuditView]:
         """Return entries that match, newest first, beginning after the entry with id `before`."""

@@ -11,6 +11,7 @@ from msgspec import Raw
 from msgspec.structs import replace
 
 import rce
+from master.access.audit import AuditFilter
 from master.access.users import Users
 from master.access.users import digest as sha256
 from master.graph.records import Environment, EnvironmentOptions, Package, Process, Role, Version
@@ -295,6 +296,13 @@ async def test_state_survives_a_restart_of_the_master(furnished: Furnished) -> N
     for peer in (west, brain, m1):
         assert not [call for call in peer.arrived if isinstance(call, OpenLink | StartEnvironment | CloseLink)]
     assert (await login(west, "ann/r1", furnished.session.token)).resumed
+
+
+async def test_audit_log_is_complete_when_the_master_stops(furnished: Furnished) -> None:
+    await execute(furnished.west, "ann/r1", m.DestroyContainer("brain"))
+    platform = await restart(furnished)
+    (last, *_) = await platform.master.audit.find(AuditFilter(), None, 1)
+    assert (last.action, last.object) == ("environment.remove", "ann/brain")
 
 
 async def test_new_process_gets_new_links_after_a_restart_of_the_master(furnished: Furnished) -> None:

@@ -135,6 +135,25 @@ async def test_unauthenticated_clients_do_not_fill_the_disk(audit: Audit, monkey
     assert await objects(audit) == ["a", "b", "c", "f", "h"]
 
 
+async def test_entries_that_come_soon_after_each_other_share_a_transaction(
+    audit: Audit, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    transactions = []
+    run = store.run
+
+    async def count(work: Callable[[sa.Connection], Any]) -> Any:
+        transactions.append(work)
+        return await run(work)
+
+    monkeypatch.setattr(store, "run", count)
+    for thing in "abc":
+        note(audit, thing)
+        for _ in range(3):
+            await asyncio.sleep(0)
+    assert await objects(audit) == ["a", "b", "c"]
+    assert len(transactions) == 1
+
+
 async def test_entries_wait_for_the_database(audit: Audit, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     async def fail(work: object) -> None:
         raise sa.exc.OperationalError("locked", None, Exception())
