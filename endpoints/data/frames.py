@@ -215,7 +215,8 @@ class FrameReader:
             destination = bytes(self._view[body + 16 : ends]) if flags & DESTINATION else None
             name = str(self._view[ends : ends + name_length], "utf-8")
             body = ends + name_length
-            phase, senders = flags >> PHASE, tuple[bytes, ...]()
+            phase = flags >> PHASE
+            senders: tuple[bytes, ...] = ()
             if phase == SHARED:
                 count = self._scratch[body] if body < self._have else 0
                 if self._have < body + 1 + 16 * count or body >= self._have:

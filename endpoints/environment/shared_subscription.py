@@ -233,7 +233,8 @@ class SharedSubscription:
     ) -> None:
         since = since or perf_counter()
         wanted = self.members if members is None else members
-        name, got = next(self._names), set[bytes]()
+        name = next(self._names)
+        got: set[bytes] = set()
         for link in self._links_of(wanted, destination):
             if robots_only and link.to_environment:
                 continue
