@@ -20,7 +20,7 @@ from rce.bench.viewer_program import TOPIC, TYPE
 from rce.client import Publisher, Robot
 
 FREQUENCY = 30.0  # images per second
-DIFFERENT = 20  # images, made beforehand: a camera takes no time of the platform's processor
+DIFFERENT = 20  # images, made beforehand: a real camera takes no time of the platform's processor
 HEAD = image_cdr(IMAGE)[:-IMAGE]
 STRIPE = 2 * bytes(each for x in range(WIDTH) for each in (x % 256, x // 3 % 256, 128))  # two rows
 

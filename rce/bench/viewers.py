@@ -30,7 +30,7 @@ from rce.errors import InvalidRequest
 ROUNDS = 5
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
 ENDING = 30.0  # seconds until a program is killed that should end
-# Cameras and viewers run on other machines in real life, so here they run only while the platform does not.
+# Cameras and viewers run on other machines in real life, so here they give way to the platform.
 ELSEWHERE = ("chrt", "--idle", "0")
 
 
@@ -81,8 +81,9 @@ async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
     access = {"password": address.password, "key": address.key}
     camera_place = msgspec.convert({**where, **access, "robot": f"{place.robot.name}_camera"}, camera_program.Place)
     phases = [Phase("quiet"), Phase("one camera"), Phase(f"and {task.count} viewers", seen=Seen())]
-    for number in range(ROUNDS):
-        count = len(range(number, samples, ROUNDS))
+    rounds = min(ROUNDS, samples)
+    for number in range(rounds):
+        count = len(range(number, samples, rounds))
         await _round(phases, commands, camera_place, msgspec.structs.replace(task, **where, **access), count)
     for phase in phases:
         phase.times.sort()

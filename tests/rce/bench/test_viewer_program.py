@@ -30,3 +30,9 @@ def test_message_that_many_viewers_get_is_encoded_once() -> None:
         for each in receivers:
             each._receive(message(blob))
     assert viewers.seen() == Seen(messages=4, bytes=20, encoded=2)
+
+
+def test_what_other_viewers_have_seen_is_added() -> None:
+    seen = Seen(messages=4, bytes=20, encoded=2)
+    seen.add(Seen(messages=1, bytes=5, encoded=1))
+    assert seen == Seen(messages=5, bytes=25, encoded=3)
