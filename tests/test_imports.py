@@ -79,13 +79,14 @@ WITH_EXTRA: dict[str, set[str]] = {
 }
 # Packages inside `rce` that must stay below the others: what they may import of `rce`, beside themselves.
 LAYERS: dict[str, set[str]] = {
-    "rce/protocol/": {"rce.choices", "rce.errors", "rce.spelling"},
+    "rce/protocol/": {"rce.choices", "rce.errors", "rce.schemas", "rce.spelling"},
     "rce/net/": {"rce.errors"},
     "rce/client/": {
         "rce.errors",
         "rce.protocol",
         "rce.net",
         "rce.api",
+        "rce.schemas",
         "rce.spelling",
         "rce.structfile",
         "rce.codecs",
@@ -93,7 +94,7 @@ LAYERS: dict[str, set[str]] = {
     },
     "rce/codecs/": {"rce.errors", "rce.protocol", "rce.video"},
     "rce/video/": {"rce.errors"},
-    "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process"},
+    "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process", "rce.schemas"},
     "rce/services/": {
         "rce.choices",
         "rce.errors",

@@ -33,7 +33,7 @@ from rce.protocol.messages import (
     Rates,
     SetParameter,
 )
-from rce.protocol.schema import normalized
+from rce.schemas import normalized
 
 log = logging.getLogger("rce.client")
 

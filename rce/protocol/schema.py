@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from inspect import cleandoc
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 
 from rce.protocol import messages as m
+from rce.schemas import normalized
 
 FROM_ROBOT: dict[str, Any] = {
     "CC": m.CreateContainer,
@@ -43,17 +43,6 @@ def schema() -> dict[str, Any]:
         "$defs": components,
     }
     return normalized(document)
-
-
-def normalized(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema as decoded JSON. Its descriptions have no indentation, which only Python before 3.13 keeps."""
-    decoded = json.loads(json.dumps(document), object_hook=_without_indentation)  # defaults may be tuples
-    return cast("dict[str, Any]", decoded)
-
-
-def _without_indentation(value: dict[str, Any]) -> dict[str, Any]:
-    description = value.get("description")
-    return value | {"description": cleandoc(description)} if isinstance(description, str) else value
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from aiohttp import web
 
 import rce
 from rce.api.http import PROBLEM, Problem
+from rce.schemas import normalized
 
 REF = "#/components/schemas/{name}"
 EVENTS = "text/event-stream"
@@ -85,7 +86,7 @@ def document(
         "openapi": "3.1.0",
         "info": {"title": title, "version": rce.__version__, "description": description},
         "paths": paths,
-        "components": {"schemas": components, "securitySchemes": schemes},
+        "components": {"schemas": normalized(components), "securitySchemes": schemes},
         "security": [{name: []} for name in default],
     }
 
