@@ -225,15 +225,15 @@ class RobotEndpoint:
         return Budget(self._queues // 4, budget)
 
     def report_away(self) -> list[str]:
-        """Return the names of the robots that have a session but no socket, to be reported to the Master."""
+        """Return the names of the robots that have a session but no socket, which the caller reports to the Master."""
         away = [name for name, session in self.sessions.items() if session.socket is None]
         self._known_away.update(away)
         return away
 
     def connected(self, session: RobotSession) -> None:
-        """Report to the Master that the robot has a socket again; that a new one has a socket follows from its login.
+        """Report to the Master that the robot has a socket, if the Master may regard it as away.
 
-        A report of the socket before may reach the Master after the login.
+        A login makes it connected, but the report that its earlier socket was lost may arrive after the login.
         """
         if session.name in self._known_away:
             self._known_away.discard(session.name)

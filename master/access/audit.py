@@ -26,7 +26,7 @@ from rce.protocol.messages import Command
 from rce.protocol.names import MAX_TAG
 
 DAY = 86_400.0
-COLLECTING = 0.05  # seconds for which entries are collected: a transaction of each would delay the next command
+COLLECTING = 0.05  # seconds for which entries are collected; one transaction for each would delay the next command
 MAX_WAITING = 100_000  # entries in memory while the database fails
 MAX_UNAUTHENTICATED = 600  # entries a minute of unauthenticated clients, which must not fill the disk
 MAX_OBJECT = 1500  # characters
@@ -82,6 +82,7 @@ class Audit:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._waiting: list[dict[str, Any]] = []
+        self._timer: asyncio.TimerHandle | None = None  # while entries are collected
         self._write: asyncio.Task[None] | None = None
         self._minute = 0  # since 1970
         self._unauthenticated = 0  # entries in this minute
@@ -116,8 +117,8 @@ class Audit:
             log.error("the audit log cannot be written: {entry}", entry=entry)
             return
         self._waiting.append(entry)
-        if self._write is None or self._write.done():
-            self._write = asyncio.create_task(self._write_all())
+        if self._timer is None and not self._writing:
+            self._timer = asyncio.get_running_loop().call_later(COLLECTING, self._begin)
 
     @contextmanager
     def auditing(self, action: str, owner: str, thing: str, origin: Origin) -> Iterator[AuditedAction]:
@@ -143,8 +144,17 @@ class Audit:
             )
         return self._unauthenticated <= MAX_UNAUTHENTICATED
 
+    @property
+    def _writing(self) -> bool:
+        return self._write is not None and not self._write.done()
+
+    def _begin(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._write = asyncio.create_task(self._write_all())
+
     async def _write_all(self) -> None:
-        await asyncio.sleep(COLLECTING)
         while self._waiting:
             entries, self._waiting = self._waiting, []
             try:
@@ -156,8 +166,8 @@ class Audit:
 
     async def flush(self) -> None:
         """Return when all entries are written."""
-        if self._waiting and (self._write is None or self._write.done()):
-            self._write = asyncio.create_task(self._write_all())
+        if self._waiting and not self._writing:
+            self._begin()
         if self._write is not None:
             await asyncio.shield(self._write)  # who waits may be cancelled, and the entries must be written
 

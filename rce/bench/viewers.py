@@ -39,7 +39,7 @@ class Phase(Struct):
 
     Attributes:
         name: What happens beside the loop.
-        times: Sorted round trips in seconds.
+        times: Round trips in seconds.
         images: Images that were sent in the phase.
         seen: What the viewers have seen; None without viewers.
     """
@@ -85,8 +85,6 @@ async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
     for number in range(rounds):
         count = len(range(number, samples, rounds))
         await _round(phases, commands, camera_place, msgspec.structs.replace(task, **where, **access), count)
-    for phase in phases:
-        phase.times.sort()
     return phases
 
 
@@ -158,7 +156,7 @@ async def program(module: str) -> AsyncIterator[Program]:
 
 
 def _give_way(pid: int) -> None:
-    """Lower the priority of a process's session, among which a kernel with autogroups shares the processor."""
+    """Lower the priority of a process's session: a kernel with autogroups shares the processor among sessions."""
     with suppress(OSError):
         Path(f"/proc/{pid}/autogroup").write_text("19")
 

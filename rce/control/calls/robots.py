@@ -41,7 +41,7 @@ class Login(Call[LoggedIn], frozen=True):
 
 
 class SocketStatus(Call[Nothing], frozen=True):
-    """Report that a robot's socket was opened, or was lost while its session continues."""
+    """Report that a robot's socket was lost while its session continues, or that it has one again."""
 
     robot: str
     connected: bool
