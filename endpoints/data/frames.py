@@ -13,7 +13,7 @@ with what arrives: a first frame may announce more than ever follows.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from time import perf_counter
@@ -100,12 +100,12 @@ class Message:
             )
         self.series = self.series or self.source
 
-    def by_sender(self) -> Iterator[Message]:
-        """Yield this message as each of its senders would send it alone; what is made of it stays common."""
+    def by_sender(self) -> Sequence[Message]:
+        """Return this message as each of its senders would send it alone; what is made of it stays common."""
         if not self.senders:
-            yield self
-        for sender in self.senders:
-            yield Message(
+            return (self,)
+        return [
+            Message(
                 sender,
                 self.msg_id,
                 self.payload,
@@ -116,6 +116,8 @@ class Message:
                 entered_at=self.entered_at,
                 conversions=self.conversions,
             )
+            for sender in self.senders
+        ]
 
 
 def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:

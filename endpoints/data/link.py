@@ -97,6 +97,9 @@ class LoopLink(_QueuedLink[Message]):
 
     def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
+        if self._outbox.idle:
+            self._write(message)
+            return 0
         return self._outbox.put(message.source, iter((message,)), keep, len(message.payload) + OVERHEAD, owner)
 
     def pause(self, until: asyncio.Future[None]) -> None:

@@ -179,16 +179,17 @@ class Switchboard:
 
     def _deliver_from(self, message: Message, link: Link) -> bool:
         """Pass a message to the interfaces that have a route to its source; return False if there are none."""
-        listeners = self._listeners.get(message.source)
-        if listeners is None or link.name not in listeners.values():
-            return False
-        for interface, name in list(listeners.items()):
-            if name == link.name and (message.destination is None or message.destination == interface.id):
+        heard = False
+        for interface, name in list(self._listeners.get(message.source, {}).items()):
+            if name != link.name:
+                continue
+            heard = True
+            if message.destination is None or message.destination == interface.id:
                 try:
                     self._deliver_to(interface, message, link)
                 except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
                     log.failure("defect while delivering to interface {interface}", interface=interface.spec.tag)
-        return True
+        return heard
 
     def _deliver_to(self, interface: Interface, message: Message, link: Link) -> None:
         count = interface.traffic.of(message.source)

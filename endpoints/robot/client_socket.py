@@ -15,7 +15,7 @@ from twisted.logger import Logger
 
 from endpoints.data.turns import SLICE, Turns
 from endpoints.robot.client import Choose, Client
-from endpoints.robot.framing import Unmasker, framed
+from endpoints.robot.framing import Unmasker, first_message, framed
 from endpoints.robot.handshake import refusal_status, wants_close_code
 from endpoints.robot.session import Piece
 from rce.errors import RceError
@@ -198,6 +198,17 @@ class ClientSocket(WebSocketServerProtocol):
         except Exception:  # noqa: BLE001  # it is logged
             log.failure("defect while reading from {peer}", peer=self.peer)
             self.dropConnection(abort=True)
+
+    def processData(self) -> bool:
+        """Process the next frame, or the received part of it; return True if there may be more."""
+        if self.current_frame is None and not self.inside_message and self.state == self.STATE_OPEN:
+            message = first_message(self.data, self.maxMessagePayloadSize)
+            if message is not None:
+                self.data = self.data[message.size :]
+                self.onMessage(message.payload, message.is_binary)
+                return len(self.data) > 0
+        more: bool = super().processData()
+        return more
 
     def onMessageFrameData(self, payload: bytes) -> None:
         """Join small fragments of a message as they come.

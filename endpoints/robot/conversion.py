@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass
 from functools import partial
 from time import monotonic
 from typing import Any
+
+from msgspec import Struct
 
 from converters import Wire
 from converters.reduction import AnyCodec as Codec
@@ -109,8 +110,7 @@ class SharedConversion:
                 asyncio.get_running_loop().call_soon(self._hand_out)
 
 
-@dataclass(frozen=True, slots=True)
-class Outgoing:
+class Outgoing(Struct, frozen=True):
     """A message to a robot before its conversion.
 
     Attributes:

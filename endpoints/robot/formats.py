@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Literal, NoReturn
 
 import msgspec
@@ -128,8 +129,8 @@ class Formats(Struct, frozen=True):
                 f"a {spec.kind[:40]} has {', '.join((*IMAGE_FORMATS, *FOREIGN, *known))}",
                 field="format",
             )
-        codec("plain")  # raises UnknownType
-        return lambda: codec("plain" if session.features else "original")
+        plain, original = codec("plain"), cache(partial(codec, "original"))
+        return lambda: plain if session.features else original()
 
     def _of_forwarder(
         self, spec: InterfaceSpec, session: RobotSession, codec: Callable[[Dialect], JsonCodec]

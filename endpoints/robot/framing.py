@@ -1,12 +1,16 @@
-"""Frames of WebSockets (RFC 6455, section 5), made and unmasked with fewer copies than Autobahn needs."""
+"""Frames of WebSockets (RFC 6455, section 5), made, parsed and unmasked in less time than Autobahn needs."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 from websockets.speedups import apply_mask
 
 from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
 
-TEXT, BINARY = b"\x81", b"\x82"  # first bytes of final frames
+TEXT, BINARY = 0x81, 0x82  # first byte of a final frame
+MASKED = 0x80  # bit of the second byte
+LONG, VERY_LONG = 126, 127  # in place of a length in the second byte: it follows in 2 or 8 bytes
 
 
 class Unmasker:
@@ -27,15 +31,49 @@ class Unmasker:
         return apply_mask(data, self._mask[turn:] + self._mask[:turn])
 
 
+class Received(NamedTuple):
+    """A message at the beginning of received data, and the number of bytes that its frame has."""
+
+    payload: bytes
+    is_binary: bool
+    size: int
+
+
+def first_message(data: memoryview, limit: int) -> Received | None:
+    """Return the message at the beginning of received data if it is complete, in one frame, and small.
+
+    Autobahn parses all other frames, and finds their violations of the protocol. Its callbacks for the beginning, the
+    data and the end of each frame and message were two fifths of the time of a small message.
+
+    Args:
+        data: Received bytes, from the beginning of a frame.
+        limit: Bytes of the largest message that the robot may send.
+    """
+    if len(data) < 6 or not TEXT <= data[0] <= BINARY:
+        return None
+    length, start = data[1] - MASKED, 2
+    if length == LONG and len(data) >= 8:
+        length, start = int.from_bytes(data[2:4]), 4
+        if length < LONG:  # it must be in the second byte
+            return None
+    elif not 0 <= length < LONG:
+        return None
+    payload = start + 4
+    end = payload + length
+    if length > limit or len(data) < end:
+        return None
+    return Received(apply_mask(data[payload:end], bytes(data[start:payload])), data[0] == BINARY, end)
+
+
 def framed(frame: Buffer | BinaryFrame | TextFrame) -> tuple[Buffer, Buffer]:
     """Return one final, unmasked frame (section 5.2) as its head and its data; a buffer is text."""
     kind = BINARY if isinstance(frame, BinaryFrame) else TEXT
-    head, data = (b"", frame) if isinstance(frame, Buffer) else frame
+    head, data = frame if isinstance(frame, tuple) else (b"", frame)
     size = len(head) + len(data)
-    if size < 126:
-        length = bytes([size])
+    if size < LONG:
+        begin = bytes((kind, size))
     elif size < 1 << 16:
-        length = b"\x7e" + size.to_bytes(2)
+        begin = bytes((kind, LONG)) + size.to_bytes(2)
     else:
-        length = b"\x7f" + size.to_bytes(8)
-    return kind + length + head, data
+        begin = bytes((kind, VERY_LONG)) + size.to_bytes(8)
+    return begin + head, data

@@ -53,7 +53,7 @@ class RobotInterface(Interface):
         self._from_robot = FromRobot(workers, user)
         self._to_robot = ToRobot(workers, user, self._converted, self.undelivered)
         self._priority = Priority[spec.delivery.priority.upper()]
-        self._max_age = spec.delivery.maxAge or math.inf
+        self._max_age = spec.delivery.maxAge
         self._type = parse_type(spec.type)
         quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
         self._head = b'{"type":"DM","data":' + quoted + b',"msgID":'
@@ -98,7 +98,7 @@ class RobotInterface(Interface):
         The message is converted when it leaves the queue, so a dropped message costs no conversion.
         """
         size = len(message.payload) + OVERHEAD
-        until = monotonic() + self._max_age
+        until = monotonic() + self._max_age if self._max_age else math.inf
         outgoing = Outgoing(codec, self._head + msgspec.json.encode(msg_id) + more, message, keep, until)
         if self._to_robot.empty and codec.decodes_fast(message.payload):
             dropped = self._put_in_outbox(outgoing, self._pieces(outgoing), size)
@@ -119,7 +119,7 @@ class RobotInterface(Interface):
 
     def _too_old(self, outgoing: Outgoing) -> bool:
         """Return whether the turn of a message comes too late; count and report it if so."""
-        if monotonic() <= outgoing.until:
+        if not self._max_age or monotonic() <= outgoing.until:
             return False
         asyncio.get_running_loop().call_soon(self.evicted, 1)  # later: this runs within the robot's queue
         return True
@@ -167,6 +167,13 @@ class RobotInterface(Interface):
             )
 
     def _frames(self, message: Message, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
+        if not blobs:
+            yield [frame]
+        else:
+            yield from self._frames_with_blobs(frame, blobs)
+        self.hops.delivered(self.id, message)
+
+    def _frames_with_blobs(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         parts = self.session.parts
         frames = binary_frames(blobs, parts, self.session.part)
         if not parts or sum(map(len, blobs.values())) <= self.session.part():
@@ -174,7 +181,6 @@ class RobotInterface(Interface):
         else:
             yield [frame]
             yield from ([each] for each in frames)
-        self.hops.delivered(self.id, message)
 
     def undelivered(self, outgoing: Outgoing, error: RceError) -> None:
         """Handle a message that cannot be sent to the robot."""

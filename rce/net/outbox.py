@@ -185,6 +185,11 @@ class Outbox(Generic[P]):
         """True if all messages were written to the stream."""
         return not self._queues
 
+    @property
+    def idle(self) -> bool:
+        """True if nothing waits and the stream has room."""
+        return self._open and not self._queues
+
     def backlog(self, source: bytes) -> int:
         """Return the number of messages of `source` that wait; one that is being sent does not count."""
         queue = self._queues.get(source)

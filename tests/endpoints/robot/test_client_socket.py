@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
+from websockets.frames import Frame, Opcode
 
 from endpoints.robot import client_socket
 from rce.net import pending_logins
@@ -22,6 +23,39 @@ async def test_oversized_message_closes_socket_with_reason(make_platform: Any) -
     code, reason = await a.closed()
     assert code == 1009
     assert "100000" in reason
+
+
+TEXT = b'{"type":"DM","data":{"iTag":"out","type":"std_msgs/String","msgID":"%d","msg":{"data":"x"}}}'
+
+
+async def test_whole_and_fragmented_messages_keep_their_order(platform: Platform) -> None:
+    a, b = await pair(platform)
+    first, *rest = (TEXT % number for number in range(4))
+    fragments = Frame(Opcode.TEXT, first[:20], fin=False), Frame(Opcode.CONT, first[20:])
+    frames = [*fragments, *(Frame(Opcode.TEXT, each) for each in rest)]
+    data = b"".join(frame.serialize(mask=True) for frame in frames)
+    for part in (data[:10], data[10:-30], data[-30:]):
+        a.socket.transport.write(part)
+        await asyncio.sleep(0)
+    assert [frame["data"]["msgID"] for frame in await b.receive_all(4)] == ["0", "1", "2", "3"]
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        [Frame(Opcode.TEXT, b"begin", fin=False).serialize(mask=True), Frame(Opcode.TEXT, b"{}").serialize(mask=True)],
+        [Frame(Opcode.TEXT, TEXT % 1).serialize(mask=False)],
+        [b"\xc1\x80mask"],
+        [b"\x81\xfe\x00\x01maskx"],
+    ],
+    ids=["message in a message", "not masked", "not negotiated", "length not minimal"],
+)
+async def test_violation_of_the_protocol_closes_socket(platform: Platform, frames: list[bytes]) -> None:
+    a = await platform.robot("a")
+    for frame in frames:
+        a.socket.transport.write(frame)
+    code, _ = await a.closed()
+    assert code == 1002
 
 
 async def test_too_many_bad_messages_close_socket_with_reason(make_platform: Any) -> None:
@@ -102,7 +136,7 @@ async def test_many_small_fragments_are_joined(platform: Platform) -> None:
         for letter in frame[:-1]:
             yield letter
             yield ""
-        await eventually(lambda: b"".join(socket.message_data or ()) == frame[:-1].encode())
+        await eventually(lambda: b"".join(getattr(socket, "message_data", None) or ()) == frame[:-1].encode())
         assert len(socket.message_data) < 3
         yield frame[-1]
 
