@@ -26,6 +26,7 @@ from rce.net.writer import Writer
 from rce.protocol.blobs import BinaryFrame, Buffer
 
 txaio.use_asyncio()  # before Autobahn is imported, which chooses its framework then
+from autobahn.asyncio import websocket  # noqa: E402
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
 from autobahn.websocket import protocol  # noqa: E402
 from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflateOfferAccept  # noqa: E402
@@ -50,8 +51,9 @@ def _skip_format(_: object) -> str:
     return ""
 
 
-# Its parser calls the first. The second formats a debug message at each connection: a sixth of the cost of a login.
-vars(protocol).update(create_xor_masker=Unmasker, pformat=_skip_format)
+# Its parser calls the first. The others format debug messages at each connection, whatever the level of the log.
+vars(protocol).update(create_xor_masker=Unmasker, pformat=_skip_format, hltype=_skip_format, hlval=_skip_format)
+vars(websocket).update(hltype=_skip_format)
 
 
 class ClientSocket(WebSocketServerProtocol):

@@ -22,17 +22,22 @@ RECEIVE_TIMEOUT, RECEIVE_INTERVAL = 30.0, 0.1  # seconds, for `receive_socket`
 
 def tune(transport: asyncio.BaseTransport) -> None:
     """Set buffer sizes for large messages, disable Nagle's algorithm, and set the timeouts for vanished peers."""
-    sock: socket.socket | None = transport.get_extra_info("socket")
-    if sock is None:
+    given: socket.socket | None = transport.get_extra_info("socket")
+    if given is None:
         return
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER)
-    if sock.family in (socket.AF_INET, socket.AF_INET6):
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, seconds in KEEPALIVE.items():
-            sock.setsockopt(socket.IPPROTO_TCP, option, seconds)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, USER_TIMEOUT * 1000)
+    # That of uvloop makes a socket for each option, which is most of the time.
+    sock = socket.socket(given.family, given.type, given.proto, given.fileno())
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER)
+        if sock.family in (socket.AF_INET, socket.AF_INET6):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, seconds in KEEPALIVE.items():
+                sock.setsockopt(socket.IPPROTO_TCP, option, seconds)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, USER_TIMEOUT * 1000)
+    finally:
+        sock.detach()
 
 
 def parse_host_port(address: str) -> tuple[str, int]:

@@ -127,7 +127,7 @@ def waiting(transport: Mock) -> tuple[StreamLink, asyncio.Future[None]]:
 
 
 def test_pause_outlasts_wait_of_rate_limit(hand: HandTurnedLoop) -> None:
-    transport = Mock(is_closing=lambda: False)
+    transport = Mock(is_closing=lambda: False, get_extra_info=lambda _: None)
     link, until = hand.do(lambda: waiting(transport))
     hand.turn(1.0)
     transport.pause_reading.assert_called_once()
@@ -138,7 +138,7 @@ def test_pause_outlasts_wait_of_rate_limit(hand: HandTurnedLoop) -> None:
 
 
 def test_wait_of_rate_limit_outlasts_pause(hand: HandTurnedLoop) -> None:
-    transport = Mock(is_closing=lambda: False)
+    transport = Mock(is_closing=lambda: False, get_extra_info=lambda _: None)
     link, until = hand.do(lambda: waiting(transport))
     hand.do(lambda: until.set_result(None))
     transport.resume_reading.assert_not_called()

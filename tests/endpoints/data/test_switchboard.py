@@ -144,7 +144,7 @@ async def test_link_that_sends_a_flood_of_messages_without_a_receiver_is_dropped
     end = End("flood")
     link = end.link
     link._deliver = board.deliver
-    transport = Mock(is_closing=lambda: False)
+    transport = Mock(is_closing=lambda: False, get_extra_info=lambda _: None)
     link.attach(transport)
     frame = b"".join(bytes(part) for piece in pieces(Message(b"x" * 16, "", b""), 0) for part in piece)
     for _ in range(100):  # as after a connection that ended

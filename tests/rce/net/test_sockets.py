@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from pathlib import Path
 
 import pytest
 
 from rce.errors import InvalidRequest
-from rce.net.sockets import advertised_host, bind_unix_socket, parse_host_port, unix_socket_path
+from rce.net.sockets import USER_TIMEOUT, advertised_host, bind_unix_socket, parse_host_port, tune, unix_socket_path
 
 
 def test_host_and_port() -> None:
@@ -45,3 +46,25 @@ def test_only_sockets_are_connected_to(tmp_path: Path) -> None:
         for name in ("link", "file", "missing"):
             with pytest.raises(OSError, match=name), unix_socket_path(tmp_path / name):
                 pass
+
+
+@pytest.mark.parametrize("kind", ["tcp", "unix"])
+async def test_tuned_connection_has_the_options_and_stays_open(kind: str) -> None:
+    ours, theirs = socket.socketpair() if kind == "unix" else _connected()
+    reader, writer = await asyncio.open_connection(sock=ours)
+    before = ours.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
+    tune(writer.transport)
+    assert ours.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) != before
+    if kind == "tcp":
+        assert ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == USER_TIMEOUT * 1000
+    theirs.sendall(b"still open")
+    assert await reader.readexactly(10) == b"still open"
+    writer.close()
+    theirs.close()
+
+
+def _connected() -> tuple[socket.socket, socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        ours = socket.create_connection(listener.getsockname())
+        return ours, listener.accept()[0]
