@@ -1,7 +1,4 @@
-"""WebSocket of one client: a robot, or a client of a gateway.
-
-This is the only module that uses Autobahn.
-"""
+"""WebSocket of one client: a robot, or a client of a gateway."""
 
 from __future__ import annotations
 
@@ -10,12 +7,14 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import txaio
+from autobahn.asyncio.websocket import WebSocketServerProtocol
+from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflateOfferAccept
+from autobahn.websocket.types import ConnectionDeny, ConnectionRequest
 from twisted.logger import Logger
 
 from endpoints.data.turns import SLICE, Turns
 from endpoints.robot.client import Choose, Client
-from endpoints.robot.framing import Unmasker, first_message, framed
+from endpoints.robot.framing import first_message, framed
 from endpoints.robot.handshake import refusal_status, wants_close_code
 from endpoints.robot.session import Piece
 from rce.errors import RceError
@@ -24,13 +23,6 @@ from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
 from rce.net.writer import Writer
 from rce.protocol.blobs import BinaryFrame, Buffer
-
-txaio.use_asyncio()  # before Autobahn is imported, which chooses its framework then
-from autobahn.asyncio import websocket  # noqa: E402
-from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
-from autobahn.websocket import protocol  # noqa: E402
-from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflateOfferAccept  # noqa: E402
-from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
 
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
 MAX_REQUEST = 64 * 1024  # bytes of the opening HTTP request
@@ -47,17 +39,10 @@ def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
 
 
-def _skip_format(_: object) -> str:
-    return ""
-
-
-# Its parser calls the first. The others format debug messages at each connection, whatever the level of the log.
-vars(protocol).update(create_xor_masker=Unmasker, pformat=_skip_format, hltype=_skip_format, hlval=_skip_format)
-vars(websocket).update(hltype=_skip_format)
-
-
 class ClientSocket(WebSocketServerProtocol):
     """WebSocket of one client: a robot, or a client of a gateway."""
+
+    send_queue: Any = ()  # once open: for messages that Autobahn would send in chops
 
     def __init__(self, turns: Turns, choose: Choose, pending: PendingLogin) -> None:
         """Create the socket of a new connection.
@@ -83,7 +68,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._writer: Writer | None = None  # while the socket is open
         self._flight = Flight(lambda: None)  # holds nothing back
         self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
-        self._pauses: set[asyncio.Future[None]] = set()  # reading is paused until all are done
+        self._pauses: dict[asyncio.Future[None], None] = {}  # reading is paused until all are done
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
@@ -94,7 +79,11 @@ class ClientSocket(WebSocketServerProtocol):
         self._pending.end()
         super().connection_lost(exc)
         self._client = None
-        del self.is_closed, self.waiter  # futures of Autobahn
+        del self.is_closed  # a future of Autobahn
+
+    def _consume(self) -> None:
+        """Remove the queue of Autobahn's asyncio adapter, which `data_received` does not use."""
+        del self.receive_queue
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 
@@ -136,6 +125,7 @@ class ClientSocket(WebSocketServerProtocol):
             self._close(REFUSED + self._denied.code, str(self._denied.reason))
             return
         assert self._client is not None
+        self._forget_handshake()
         self._pending.end()
         self._opened = True
         self._user = self._client.user
@@ -145,6 +135,12 @@ class ClientSocket(WebSocketServerProtocol):
         self._writer = Writer(self.transport)
         self._flight = flight_of(self.transport.get_extra_info("socket"))
         self._client.opened(self)
+
+    def _forget_handshake(self) -> None:
+        """Free what an open socket does not need: a sixth of the memory of an idle robot."""
+        del self.send_queue
+        for name in [name for name in vars(self) if name.startswith("http_")]:
+            delattr(self, name)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
         """Tell the client that its socket is closed."""
@@ -310,11 +306,11 @@ class ClientSocket(WebSocketServerProtocol):
             return
         if not self._pauses:
             transport.pause_reading()
-        self._pauses.add(until)
+        self._pauses[until] = None
         until.add_done_callback(self._continue_reading)
 
     def _continue_reading(self, done: asyncio.Future[None]) -> None:
-        self._pauses.discard(done)
+        self._pauses.pop(done, None)
         if self._pauses:
             return
         transport = self.transport
@@ -375,37 +371,3 @@ class ClientSocket(WebSocketServerProtocol):
             self.onPing(payload)
         if self._opened:
             self._proceed()
-
-
-class SocketFactory(WebSocketServerFactory):
-    """Makes the sockets of a server."""
-
-    def __init__(self, turns: Turns, choose: Choose, limit: int, handshake_timeout: float) -> None:
-        """Create the factory.
-
-        Args:
-            turns: Turns of users at the event loop.
-            choose: Returns the client for the path of a request.
-            limit: Bytes of a message.
-            handshake_timeout: Seconds for the opening handshake, with the login.
-        """
-        loop = asyncio.get_running_loop()
-        txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
-        super().__init__(server="RCE", loop=loop)
-        self._turns = turns
-        self._choose = choose
-        self.setProtocolOptions(
-            maxMessagePayloadSize=limit,
-            maxFramePayloadSize=limit,
-            allowNullOrigin=True,  # the origin of a page from a file; setProtocolOptions would reset it
-            openHandshakeTimeout=handshake_timeout,
-            closeHandshakeTimeout=1,  # a connection that was cut off is gone by then
-            failByDrop=False,  # tell the robot which rule it broke
-            utf8validateIncoming=False,  # the decoders validate it, so the robot gets an error and keeps its socket
-        )
-
-    def make(self, pending: PendingLogin) -> ClientSocket:
-        """Return the protocol of a new connection."""
-        socket = ClientSocket(self._turns, self._choose, pending)
-        socket.factory = self  # type: ignore[attr-defined]  # as the base class does
-        return socket

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 
 from rce.errors import NotConnected, RceError
@@ -60,7 +59,7 @@ class BadMessages:
     def __init__(self, limit: int, end: Callable[[str], None]) -> None:
         self._limit = limit
         self._end = end
-        self._times: deque[float] = deque()  # within BAD_WINDOW
+        self._times: list[float] = []  # within BAD_WINDOW
 
     def count(self, error: RceError) -> None:
         """Count a message that was refused with this error."""
@@ -69,6 +68,6 @@ class BadMessages:
         now = asyncio.get_running_loop().time()
         self._times.append(now)
         while self._times[0] < now - BAD_WINDOW:
-            self._times.popleft()
+            del self._times[0]
         if len(self._times) > self._limit:
             self._end(f"more than {self._limit} bad messages within a minute; the last: {error}")

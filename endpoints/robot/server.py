@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Any
 
 from endpoints.robot.client import Choose, Client, RobotClient
-from endpoints.robot.client_socket import SocketFactory
 from endpoints.robot.endpoint import RobotEndpoint
+from endpoints.robot.socket_factory import SocketFactory
 from rce.net.listener import Listener, bind
 
 HANDSHAKE_TIMEOUT = 30.0  # seconds for the opening handshake, with the login

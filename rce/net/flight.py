@@ -13,7 +13,6 @@ import ipaddress
 import socket
 import struct
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -89,7 +88,7 @@ class Flight:
         """Hold back what `read`, which returns the state of the connection, shows to be too much."""
         self._read = read
         self._now = now
-        self._rates: deque[tuple[float, float]] = deque()  # time and rate, of which each is less than the one before
+        self._rates: list[tuple[float, float]] = []  # time and rate, of which each is less than the one before
         self.part = MOST_PART
         self._acknowledged = 0
         self._progress = now()  # time at which bytes were acknowledged, or none was outstanding
@@ -126,5 +125,5 @@ class Flight:
             rates.pop()
         rates.append((now, rate))
         while rates[0][0] < now - WINDOW:
-            rates.popleft()
+            del rates[0]
         return rates[0][1]

@@ -140,7 +140,7 @@ class Outbox(Generic[P]):
     def __init__(self, write: Callable[[P], bool]) -> None:
         self._write = write
         self._queues: dict[bytes, _Queue[P]] = {}
-        self._turns: tuple[deque[bytes], ...] = tuple(deque() for _ in Priority)
+        self._turns: tuple[list[bytes], ...] = tuple([] for _ in Priority)  # an empty deque is ten times as large
         self._open = True
 
     def put(
@@ -243,8 +243,8 @@ class Outbox(Generic[P]):
     def _pump(self) -> None:
         while self._open and self._queues:
             turns = next(filter(None, self._turns))
-            source = turns[0]
-            turns.rotate(-1)  # first, because the calls below may raise or call `put`
+            source = turns.pop(0)
+            turns.append(source)  # first, because the calls below may raise or call `put`
             queue = self._queues[source]
             if queue.current is None and queue.waiting:
                 queue.begin_next()

@@ -109,6 +109,12 @@ async def test_reading_pauses_until_all_who_asked_for_it_have_room(platform: Pla
     assert socket.transport.is_reading()
 
 
+async def test_open_socket_keeps_nothing_of_its_handshake(platform: Platform) -> None:
+    await platform.robot("a")
+    kept = vars(platform.endpoint.sessions[f"{USER}/a"].socket)
+    assert not [name for name in kept if name.startswith("http_") or name in ("send_queue", "receive_queue")]
+
+
 async def test_only_last_ping_is_answered_while_write_buffer_is_full(platform: Platform) -> None:
     """Else answers would pile up for a robot that does not read."""
     a = await platform.robot("a")

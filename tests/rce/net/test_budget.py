@@ -127,7 +127,7 @@ def test_budget_is_free_again_when_messages_are_gone(user: Budget, end: str) -> 
         robot.outbox.discard(str(id(interface)).encode())
     else:
         getattr(robot.outbox, end)()
-    assert (user.used, interface.budget.used, user._holders) == (0, 0, set())
+    assert (user.used, interface.budget.used, user._holders) == (0, 0, {})
 
 
 def test_message_that_is_being_sent_counts_until_it_is_sent(user: Budget) -> None:
