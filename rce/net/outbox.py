@@ -165,11 +165,18 @@ class Outbox(Generic[P]):
         Returns:
             The number of older messages of the source that were dropped.
         """
+        begun = self.idle
+        if begun and self._write_all(pieces):
+            self._pump()  # what was put meanwhile
+            return 0
         queue = self._queues.get(source)
         if queue is None:
             queue = self._queues[source] = _Queue(owner, keep is not None, priority)
             self._turns[priority].append(source)
-        queue.waiting.append((pieces, size))
+        if begun:
+            queue.current, queue.current_size = pieces, size
+        else:
+            queue.waiting.append((pieces, size))
         queue.bytes += size
         if self._open:
             self._pump()
@@ -179,6 +186,23 @@ class Outbox(Generic[P]):
         if queue.bytes != queue.charged:  # it has to wait
             queue.shrink()
         return queue.take_drops() if queue.drops else 0
+
+    def _write_all(self, pieces: Iterator[P]) -> bool:
+        """Write a message, before which nothing waits; return False if the stream is full before its end.
+
+        Most messages are written at once, and need no queue.
+        """
+        has_room = True
+        self._open = False  # what the calls below put waits
+        try:
+            while has_room:
+                piece = next(pieces, None)
+                if piece is None:
+                    return True
+                has_room = self._write(piece)
+            return False
+        finally:
+            self._open = has_room
 
     @property
     def empty(self) -> bool:

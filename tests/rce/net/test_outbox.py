@@ -165,6 +165,22 @@ def test_message_that_fails_does_not_block_its_source() -> None:
     assert stream.outbox.empty
 
 
+@pytest.mark.parametrize("other", [A, B])
+def test_message_that_is_put_during_a_write_comes_after_its_end(other: bytes) -> None:
+    written: list[str] = []
+
+    def write(piece: str) -> bool:
+        written.append(piece)
+        if piece == "a0":
+            assert outbox.put(other, message("later"), None) == 0
+        return True
+
+    outbox: Outbox[str] = Outbox(write)
+    outbox.put(A, message("a", 3), None)
+    assert written == ["a0", "a1", "a2", "later0"]
+    assert outbox.empty
+
+
 def test_source_of_higher_priority_is_served_first() -> None:
     stream = Stream()
     stream.outbox.pause()
