@@ -42,7 +42,7 @@ def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
 class ClientSocket(WebSocketServerProtocol):
     """WebSocket of one client: a robot, or a client of a gateway."""
 
-    send_queue: Any = ()  # once open: for messages that Autobahn would send in chops
+    send_queue: Any = ()  # in place of Autobahn's, once the socket is open: nothing is sent in chops
 
     def __init__(self, turns: Turns, choose: Choose, pending: PendingLogin) -> None:
         """Create the socket of a new connection.
@@ -137,7 +137,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._client.opened(self)
 
     def _forget_handshake(self) -> None:
-        """Free what an open socket does not need: a sixth of the memory of an idle robot."""
+        """Free what an open socket does not need: two kilobytes."""
         del self.send_queue
         for name in [name for name in vars(self) if name.startswith("http_")]:
             delattr(self, name)
