@@ -13,8 +13,22 @@ import rce
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED, BROKEN_PIPE = 128 + signal.SIGINT, 128 + signal.SIGPIPE  # as shells report programs ended by a signal
 
-EXTRAS = {"prompt_toolkit": "console", "mcap": "bag"}
-"""Extra that brings a library, where a command needs only that."""
+DEFAULT_EXTRAS = "server,mapping,mapping3d,ros,bench"
+EXTRAS = {
+    "prompt_toolkit": "console",
+    "mcap": "bag",
+    "PIL": "images",
+    "av": "video",
+    "DracoPy": "draco",
+    "warp": "dense",
+    "onnxruntime": "onnx",
+    "rdflib": "knowledge",
+    "pyoxigraph": "knowledge",
+    "docker": "docker",
+    "kubernetes_asyncio": "kubernetes",
+    "psycopg": "postgresql",
+}
+"""Extra that brings a library, where the default extras do not, or a command needs only that."""
 
 
 def main() -> int:
@@ -73,7 +87,7 @@ def _run(words: list[str]) -> int:
     except ModuleNotFoundError as error:  # a light installation; a missing module of RCE itself is a defect
         if error.name is None or error.name.partition(".")[0] == "rce":
             raise
-        extras = EXTRAS.get(error.name.partition(".")[0], "server,mapping,mapping3d,ros,bench")
+        extras = EXTRAS.get(error.name.partition(".")[0], DEFAULT_EXTRAS)
         print(f"rce: this needs {error.name}: pip install '.[{extras}]' in a checkout of RCE", file=sys.stderr)
         return 1
 

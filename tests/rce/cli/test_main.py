@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from rce.cli.main import DEFAULT_EXTRAS, EXTRAS
+from tests.support.paths import ROOT
 
 WITHOUT = """
 import sys
@@ -32,6 +37,19 @@ def test_missing_library_is_reported_with_the_extra_to_install(words: list[str],
     assert ended.returncode == 1, ended.stderr
     assert "Traceback" not in ended.stderr
     assert "pip install '.[server" in ended.stderr
+
+
+MODULES = {"warp-lang": "warp", "pillow": "PIL", "dracopy": "DracoPy"}  # of distributions with other names
+
+
+def test_extra_of_each_library_is_known() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras: dict[str, list[str]] = project["optional-dependencies"]
+    libraries = {extra: {re.split(r"[<>=;[ ]", each)[0].lower() for each in needed} for extra, needed in extras.items()}
+    by_default = set().union(*(libraries[extra] for extra in DEFAULT_EXTRAS.split(",")))
+    for extra in libraries.keys() - {"dev", "docs"}:
+        for library in libraries[extra] - by_default:
+            assert EXTRAS[MODULES.get(library, library)] == extra
 
 
 def test_help_of_map_needs_no_mapping_library() -> None:
