@@ -1,4 +1,4 @@
-"""Factory of clients' WebSockets, with the options of Autobahn, and what of it is replaced.
+"""Factory of clients' WebSockets: sets the options of Autobahn, and replaces parts of it that take much time.
 
 Besides `client_socket`, this is the only module that uses Autobahn.
 """
@@ -23,7 +23,7 @@ def _skip_format(_: object) -> str:
     return ""
 
 
-# Its parser calls the first. The others format debug messages at each connection, whatever the level of the log.
+# The first unmasks frames. The others format debug messages at each connection, even if these are not logged.
 vars(protocol).update(create_xor_masker=Unmasker, pformat=_skip_format, hltype=_skip_format, hlval=_skip_format)
 vars(websocket).update(hltype=_skip_format)
 
@@ -54,10 +54,11 @@ class SocketFactory(WebSocketServerFactory):
             failByDrop=False,  # tell the robot which rule it broke
             utf8validateIncoming=False,  # the decoders validate it, so the robot gets an error and keeps its socket
         )
-        # Autobahn copies its options into each connection that does not have them; these are those of the class.
+        # Autobahn copies its options into each socket, unless the socket's class has them. A function would become a
+        # method of the class, so those are copied.
         options = {name: getattr(self, name) for name in ClientSocket.CONFIG_ATTRS}
-        kept = {name: option for name, option in options.items() if not callable(option)}  # which would become a method
-        self._kind: type[ClientSocket] = type("ClientSocket", (ClientSocket,), kept)
+        values = {name: option for name, option in options.items() if not callable(option)}
+        self._kind: type[ClientSocket] = type("ClientSocket", (ClientSocket,), values)
 
     def make(self, pending: PendingLogin) -> ClientSocket:
         """Return the protocol of a new connection."""

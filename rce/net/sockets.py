@@ -25,7 +25,7 @@ def tune(transport: asyncio.BaseTransport) -> None:
     given: socket.socket | None = transport.get_extra_info("socket")
     if given is None:
         return
-    # That of uvloop makes a socket for each option, which is most of the time.
+    # That of uvloop makes a socket object for each option, which takes longer than setting it.
     sock = socket.socket(given.family, given.type, given.proto, given.fileno())
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)

@@ -48,7 +48,7 @@ def measure(session: ConsoleSession, args: argparse.Namespace) -> None:
     """
     camera = intrinsics(args.camera) if args.camera else None
     if args.offloading:
-        import_module("av")  # before the work of a minute, at whose end it is needed
+        import_module("av")  # fail now if it is missing, not after a minute
         recordings = [open_recording(path, camera, args.depth_scale) for path in args.recordings]
         truths = [ground_truth(path) for path in args.recordings]
         if any(camera_of(each) is None for each in recordings):
