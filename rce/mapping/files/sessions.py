@@ -17,7 +17,7 @@ from rce.mapping.mappers import MAPPERS, AnyMapper
 from rce.mapping.scans import Scan
 from rce.mapping.state import Array, Reader, flatten
 
-FORMAT, VERSION = "rce mapping session", 3
+FORMAT, VERSION = "rce mapping session", 4
 MAX_PARTICLES = 10_000
 
 

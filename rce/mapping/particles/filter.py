@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from rce.mapping.geometry import Points, Pose, wrap_angles
 from rce.mapping.matching.fields import downsample
 from rce.mapping.particles import kernels
 from rce.mapping.particles.paths import Paths
-from rce.mapping.particles.tiles import RATIO, UNIT, TileMaps, reach_of
+from rce.mapping.particles.tiles import RATIO, UNIT, TileMaps
 from rce.mapping.state import Reader, State
 
 Array = NDArray[np.float64]
@@ -150,11 +150,21 @@ class ParticleFilter:
 
     def learn(self, points: Points) -> None:
         """Add points (n, 2), metres, frame of the robot, to all maps."""
-        self.maps.grow_to_cover(self.poses, reach_of(points))
-        self.maps.unshare(self.poses, points)
-        cells, scaled = self.maps.to_cells(self.poses), np.ascontiguousarray(points / UNIT)
-        maps = self.maps
-        self._share(lambda i, j: kernels.learn(maps.tiles, maps.tables, cells, scaled, RATIO, i, j))
+        self._share(self.maps.learner(self.poses, points))
+
+    def replace(self, path: Array, seen: Iterable[tuple[Pose, Points]]) -> None:
+        """Continue with copies of one particle.
+
+        Args:
+            path: (n, 3) poses of the particle, metres and radians, map frame.
+            seen: Points (n, 2) of its map, metres, each in the frame of a pose in the map frame.
+        """
+        maps = TileMaps(1)
+        for pose, points in seen:
+            maps.learner(np.array([pose]), points)(0, 1)
+        maps.resample(np.zeros(self.count, np.int64))
+        self.maps, self.paths = maps, Paths(self.count, path)
+        self.poses, self.log_weights = np.tile(path[-1], (self.count, 1)), np.zeros(self.count)
 
     def resample(self) -> None:
         """Resample the particles by their weights if too few of them are effective.

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import ORIGIN, Points, Pose, wrap_angles
+from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.history import History
 from rce.mapping.laser_odometry import LaserOdometry
 from rce.mapping.mapper import MIN_POINTS, UNMATCHED_COVARIANCE, Estimate, MapperSettings
 from rce.mapping.particles import filter as particle_filter
 from rce.mapping.particles.filter import ParticleFilter
-from rce.mapping.pose_graph.graph import Sweep
+from rce.mapping.particles.path_graph import PathGraph
+from rce.mapping.pose_graph.graph import rotation_matrix
 from rce.mapping.scans import Scan
-from rce.mapping.state import Reader, State, optional, pack
+from rce.mapping.state import Reader, State, optional
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +28,6 @@ class ParticleMapperSettings:
     Attributes:
         step: Metres between two steps of the filter.
         step_turn: Radians between two steps of the filter.
-        draw: Metres between scans that are drawn in the grid; less than a step.
-        draw_turn: Radians between scans that are drawn in the grid.
         spread: Metres; standard deviation of the motion between two steps at least.
         turn_spread: Radians; the same for the heading.
         lost_spread: Metres; standard deviation of a motion that scan matching does not determine.
@@ -40,8 +39,6 @@ class ParticleMapperSettings:
 
     step: float = 0.5
     step_turn: float = 0.25
-    draw: float = 0.4
-    draw_turn: float = 0.2
     spread: float = 0.015
     turn_spread: float = math.radians(0.25)
     lost_spread: float = 0.5
@@ -74,7 +71,7 @@ class ParticleMapper:
         self._step_wheel_pose = ORIGIN  # its `wheel_pose` at the last step
         self._step_count = 0  # number of scans that it had kept at the last step
         self._lost = False  # whether a scan since the last step was not matched
-        self._sweeps: dict[int, Sweep] = {}  # by step, frame of the robot
+        self._graph = PathGraph()
         self._grid = GridMap(self.settings.resolution)
         self._drawn = np.empty((0, 3))  # poses of the sweeps that are in the grid
 
@@ -95,12 +92,13 @@ class ParticleMapper:
 
     def grid(self) -> OccupancyGrid:
         """Return the map of the best particle."""
-        poses = self._filter.paths.path(self._filter.best)[list(self._sweeps)]
+        self._graph.follow(self._filter.paths.path(self._filter.best))
+        sweeps = list(self._graph.sweeps())
+        poses = np.array([pose for pose, _ in sweeps]).reshape(-1, 3)
         if not np.array_equal(poses[: len(self._drawn)], self._drawn):
             self._grid, self._drawn = GridMap(self.settings.resolution), np.empty((0, 3))
-        sweeps = list(self._sweeps.values())
-        for i in range(len(self._drawn), len(poses)):
-            self._grid.insert(*sweeps[i].seen_from(Pose(*poses[i].tolist())))
+        for pose, sweep in sweeps[len(self._drawn) :]:
+            self._grid.insert(*sweep.seen_from(pose))
         self._drawn = poses
         return self._grid.render()
 
@@ -111,6 +109,7 @@ class ParticleMapper:
     def relocate(self, pose: Pose) -> None:
         """Continue at a pose (map frame) to which the robot was carried while nothing was recorded."""
         self._filter.relocate(pose)
+        self._graph.relocate(pose)
         self._odometry = LaserOdometry(self.settings.max_range)
         self._step_pose, self._step_wheel_pose, self._step_count, self._lost = None, ORIGIN, 0, False
 
@@ -125,8 +124,7 @@ class ParticleMapper:
             "rolled": optional(self._step_wheel_pose),
             "seen": np.array(self._step_count, np.int64),
             "lost": np.array(self._lost),
-            "steps": np.array(list(self._sweeps), np.int64),
-            "points": pack([sweep.points for sweep in self._sweeps.values()], np.float32),
+            "graph": self._graph.state(),
             "grid": self._grid.state(),
             "drawn": self._drawn.copy(),
         }
@@ -147,12 +145,10 @@ class ParticleMapper:
         mapper._step_pose, mapper._lost = saved.optional("then"), bool(saved.array("lost", np.bool_))
         mapper._step_wheel_pose = saved.optional("rolled") or ORIGIN
         mapper._step_count = saved.whole("seen", mapper._odometry.count + 1)
-        points = saved.unpack("points", np.float32)
-        steps = saved.indices("steps", count, len(points)).tolist()
-        mapper._sweeps = {step: Sweep(np.zeros((1, 2)), piece) for step, piece in zip(steps, points, strict=True)}
+        mapper._graph = PathGraph.restored(saved.part("graph"), count)
         mapper._grid.restore(saved.part("grid"))
         mapper._drawn = saved.array("drawn", np.float64, None, 3)
-        if len(mapper._drawn) > len(steps):
+        if len(mapper._drawn) > sum(1 for _ in mapper._graph.sweeps()):
             raise saved.invalid("drawn", "has more poses than the mapper has scans")
         return mapper
 
@@ -189,7 +185,7 @@ class ParticleMapper:
             self._filter.move(motion, self._spread(covariance), seen, by_wheels if doubted else None)
         if points is not None and seen is not None:
             self._filter.learn(seen)
-            self._keep(points)
+        self._close_loops(points, covariance)
         self._step_pose, self._step_wheel_pose = self._odometry.pose, self._odometry.wheel_pose
         self._step_count, self._lost = self._odometry.count, False
         self._filter.resample()
@@ -209,11 +205,17 @@ class ParticleMapper:
         )
         return np.asarray(MIN_COVARIANCE + np.linalg.inv(known), np.float64)
 
-    def _keep(self, points: Points) -> None:
-        """Keep the scan for the grid unless a kept scan near by looks the same way."""
-        best, step = self._filter.paths.path(self._filter.best), len(self._filter.paths) - 1
-        kept = best[list(self._sweeps)]
-        near = np.hypot(*(kept[:, :2] - best[step, :2]).T) < SETTINGS.draw
-        turn = np.abs(wrap_angles(kept[:, 2] - best[step, 2])) < SETTINGS.draw_turn
-        if not (near & turn).any():
-            self._sweeps[step] = Sweep(np.zeros((1, 2)), points.astype(np.float32))
+    def _close_loops(self, points: Points | None, covariance: NDArray[np.float64]) -> None:
+        """Add the step to the graph of the best path, and correct all paths if it finds a loop that they do not close.
+
+        Args:
+            points: Points (n, 2) of the scan, metres, frame of the robot; None if they are too few.
+            covariance: (3, 3) of the last match, frame of the laser odometry.
+        """
+        path = self._filter.paths.path(self._filter.best)
+        turn = rotation_matrix(path[-1, 2] - self._odometry.pose.theta)
+        known = UNMATCHED_COVARIANCE if self._lost else turn @ covariance @ turn.T
+        corrected = self._graph.extend(path, points, known)
+        if corrected is not None:
+            seen = ((pose, sweep.points.astype(np.float64)) for pose, sweep in self._graph.sweeps())
+            self._filter.replace(corrected, seen)

@@ -21,9 +21,9 @@ class Paths:
         branches: (count, m, 3), the part in which they differ.
     """
 
-    def __init__(self, count: int) -> None:
-        """Make `count` empty paths."""
-        self.stem = np.empty((0, 3))
+    def __init__(self, count: int, stem: Array | None = None) -> None:
+        """Make `count` paths with the poses (n, 3) of a stem; None makes them empty."""
+        self.stem = np.empty((0, 3)) if stem is None else stem
         self.branches = np.empty((count, 0, 3))
 
     def __len__(self) -> int:

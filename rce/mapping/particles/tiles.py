@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,18 @@ class TileMaps:
             more = max(FIRST_TILES, len(self.tiles) // 2)
             self.tiles = np.concatenate([self.tiles, np.zeros((more, *self.tiles.shape[1:]), np.float32)])
             self._users = np.concatenate([self._users, np.zeros(more, np.int32)])
+
+    def learner(self, poses: NDArray[np.float64], points: Points) -> Callable[[int, int], None]:
+        """Return a function that adds points to maps `begin` to `end`, in any number of threads.
+
+        Args:
+            poses: (count, 3) pose of the robot in each map, metres and radians, map frame.
+            points: (n, 2), metres, frame of the robot.
+        """
+        self.grow_to_cover(poses, reach_of(points))
+        self.unshare(poses, points)
+        cells, scaled = self.to_cells(poses), np.ascontiguousarray(points / UNIT)
+        return lambda begin, end: kernels.learn(self.tiles, self.tables, cells, scaled, RATIO, begin, end)
 
     def state(self) -> State:
         """Return the maps as arrays to save."""

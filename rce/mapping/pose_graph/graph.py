@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +149,16 @@ class PoseGraph:
             lengths.clear()
         for edge in self.edges:
             self._connect(edge)
+
+    def measure_again(self, moved: Collection[int]) -> None:
+        """Replace the motions of the edges of these nodes by those between the poses that their nodes have now."""
+        nodes, moved = self.nodes, set(moved)
+        self.edges = [
+            replace(edge, motion=nodes[edge.first].pose.to(nodes[edge.second].pose))
+            if edge.first in moved or edge.second in moved
+            else edge
+            for edge in self.edges
+        ]
 
     def state(self) -> State:
         """Return the graph as arrays to save."""

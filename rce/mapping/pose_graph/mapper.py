@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,45 +17,14 @@ from rce.mapping.matching import local_map
 from rce.mapping.matching.local_map import LocalMap
 from rce.mapping.matching.wide_search import Candidate
 from rce.mapping.motion import Motion
-from rce.mapping.pose_graph.graph import Edge, PoseGraph, Sweep, information_matrix
+from rce.mapping.pose_graph.graph import PoseGraph
 from rce.mapping.pose_graph.loops import LoopFinder
-from rce.mapping.pose_graph.optimisation import disagreement, optimise
+from rce.mapping.pose_graph.optimisation import settle
+from rce.mapping.pose_graph.trail import Trail
 from rce.mapping.scans import Scan
-from rce.mapping.state import Reader, State, optional
+from rce.mapping.state import Reader, State
 
-
-@dataclass(frozen=True, slots=True)
-class GraphMapperSettings:
-    """Settings of the mapper.
-
-    Attributes:
-        move: Metres between scans that are kept; those between show hardly anything new.
-        turn: Radians between scans that are kept.
-        node_move: Metres between nodes.
-        node_turn: Radians between nodes.
-        link_way: Metres along edges, at least, to a node of an earlier pass that a new node is linked to.
-        link_reach: Metres to such a node at most.
-        floor: Standard deviations, metres and radians, that are added to those of a match; see `information_matrix`.
-        link_floor: The same for a link, whose nodes were not seen one after the other.
-        scale: Factor of the covariance of a match; see `information_matrix`.
-        wrong: Squared Mahalanobis distance beyond which a closure is dropped after the optimisation.
-        shifted: Metres or radians of motion of a node after which the grid is rendered again.
-    """
-
-    move: float = 0.2
-    turn: float = 0.1
-    node_move: float = 1.0
-    node_turn: float = 0.5
-    link_way: float = 5.0
-    link_reach: float = 3.0
-    floor: tuple[float, float] = (0.01, math.radians(0.3))
-    link_floor: tuple[float, float] = (0.03, math.radians(0.5))
-    scale: float = 4.0
-    wrong: float = 50.0
-    shifted: float = 0.01
-
-
-SETTINGS = GraphMapperSettings()
+SHIFTED = 0.01  # metres or radians of motion of a node after which the grid is rendered again
 
 
 class GraphMapper:
@@ -77,9 +45,7 @@ class GraphMapper:
         self._motion = Motion()
         self._history = History()
         self._stamp = -math.inf
-        self._reference = self._graph.add_node(ORIGIN)  # node near the robot, to which its pose is fixed
-        self._open: int | None = self._reference  # node to which scans are added
-        self._kept: Pose | None = None  # pose at which a scan was last considered for keeping, frame of the reference
+        self._trail = Trail(self._graph, self._graph.add_node(ORIGIN))
         self._grid: GridMap | None = GridMap(self.settings.resolution)  # None if nodes have moved since
 
     def add(self, scan: Scan) -> Estimate:
@@ -108,8 +74,7 @@ class GraphMapper:
         covariance = found.covariance if found else UNMATCHED_COVARIANCE
         self._motion.update(scan, pose, reliable, found.covariance if found else None)
         closed = self._keep(pose, points, covariance, reliable) if usable and not contradicts else None
-        reference = self._graph.nodes[self._reference].pose
-        self._history.append(scan.stamp, self._reference, reference.to(pose))
+        self._history.append(scan.stamp, self._trail.reference, self._trail.relative(pose))
         if closed is not None:
             self._close_loops(closed)
         return Estimate(scan.stamp, self._motion.pose, covariance, found is not None)
@@ -119,6 +84,7 @@ class GraphMapper:
         other = copy.copy(self)
         other._graph = self._graph.copy()
         other._loops = self._loops.copy(other._graph)
+        other._trail = self._trail.copy(other._graph)
         other._local = self._local.copy(other._scans_around)
         other._motion, other._history = copy.deepcopy((self._motion, self._history))
         other._grid = None
@@ -151,7 +117,7 @@ class GraphMapper:
     @property
     def reference(self) -> int:
         """Number of the node near the robot, with which its pose moves."""
-        return self._reference
+        return self._trail.reference
 
     def trajectory_by(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the trajectory (n, 4) as it is if the nodes are at these poses (nodes, 3)."""
@@ -163,10 +129,8 @@ class GraphMapper:
 
     def relocate(self, pose: Pose) -> None:
         """Continue at a pose (map frame) to which the robot was carried while nothing was recorded."""
-        nodes = self._graph.nodes
         self._motion = Motion(pose)
-        self._reference = min(nodes, key=lambda number: math.dist(nodes[number].pose[:2], pose[:2]))
-        self._open = self._kept = None
+        self._trail.relocate(pose)
         self._local.rebuild(pose)
 
     def state(self) -> State:
@@ -177,9 +141,7 @@ class GraphMapper:
             "motion": self._motion.state(),
             "history": self._history.state(),
             "stamp": np.array([self._stamp] if math.isfinite(self._stamp) else [], np.float64),
-            "reference": np.array(self._reference, np.int64),
-            "open": np.array(-1 if self._open is None else self._open, np.int64),
-            "kept": optional(self._kept),
+            "trail": self._trail.state(),
             "local": self._local.state(),
         }
         return whole if self._grid is None else {**whole, "grid": self._grid.state()}
@@ -200,10 +162,7 @@ class GraphMapper:
         count = len(graph.nodes)
         mapper._history.restore(saved.part("history"), count)
         mapper._stamp = max(saved.array("stamp", np.float64, None).tolist(), default=-math.inf)
-        mapper._reference = saved.whole("reference", count)
-        mapper._open = saved.whole("open", count, lowest=-1)
-        mapper._open = None if mapper._open < 0 else mapper._open
-        mapper._kept = saved.optional("kept")
+        mapper._trail = Trail.restored(graph, saved.part("trail"))
         if saved.has("local"):
             mapper._local.restore(saved.part("local"), count)
         mapper._grid = None
@@ -226,7 +185,7 @@ class GraphMapper:
 
         These are the nodes that were passed lately, and those passed long ago where a loop is closed.
         """
-        for number in sorted(self._graph.distances(self._reference, local_map.SETTINGS.way)):
+        for number in sorted(self._graph.distances(self._trail.reference, local_map.SETTINGS.way)):
             node = self._graph.nodes[number]
             if math.dist(node.pose[:2], pose[:2]) < local_map.SETTINGS.radius:
                 for sweep in node.sweeps:
@@ -234,72 +193,16 @@ class GraphMapper:
 
     def _keep(self, pose: Pose, points: Points, covariance: NDArray[np.float64], reliable: bool) -> int | None:
         """Keep the scan if it shows something new; return the node that this completes, if any."""
-        relative = self._graph.nodes[self._reference].pose.to(pose)
-        if reliable and self._kept is not None and not self._kept.to(relative).exceeds(SETTINGS.move, SETTINGS.turn):
+        if reliable and not self._trail.has_moved(pose):
             return None
-        before = self._open
-        if reliable:
-            self._choose_node(pose, relative, covariance)
-        else:
-            self._reference = self._open = self._add_node(pose, relative, covariance)
-        if self._open is not None:
-            self._add_sweep(self._open, pose, points)
-        self._kept = self._graph.nodes[self._reference].pose.to(pose)
+        complete = self._trail.advance(pose, points, covariance, self._local.places, reliable)
+        if self._trail.is_open:
+            node = self._graph.nodes[self._trail.reference]
+            self._local.add(self._trail.reference, pose.transform(points))
+            if self._grid is not None:
+                self._grid.insert(*node.sweeps[-1].seen_from(node.pose))
         self._local.recentre(pose)
-        return before if before != self._open else None
-
-    def _choose_node(self, pose: Pose, relative: Pose, covariance: NDArray[np.float64]) -> None:
-        """Set the node of the robot: the current one, another one near by, or a new one."""
-        if not relative.exceeds(SETTINGS.node_move, SETTINGS.node_turn):
-            return
-        nodes = self._graph.nodes
-        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.places]
-        for _, number in sorted(near):
-            if not nodes[number].pose.to(pose).exceeds(SETTINGS.node_move, SETTINGS.node_turn):
-                self._reference, self._open = number, None
-                return
-        new = self._add_node(pose, relative, covariance)
-        self._link(new, pose, covariance)
-        self._reference = self._open = new
-
-    def _add_node(self, pose: Pose, relative: Pose, covariance: NDArray[np.float64]) -> int:
-        """Add a node with an edge from the reference; return its number.
-
-        If the pose is in doubt, the edge is weak and counts as a long way: loops are searched with the nodes before it,
-        and correct the pose.
-        """
-        new = self._graph.add_node(pose)
-        theta = self._graph.nodes[self._reference].pose.theta
-        self._graph.add_edges(
-            [
-                Edge(
-                    self._reference,
-                    new,
-                    relative,
-                    information_matrix(covariance, theta, SETTINGS.floor, SETTINGS.scale),
-                )
-            ]
-        )
-        return new
-
-    def _link(self, new: int, pose: Pose, covariance: NDArray[np.float64]) -> None:
-        """Add an edge to a node of an earlier pass: the scan was matched with what was seen from there, too."""
-        nodes, ways = self._graph.nodes, self._graph.distances(new, SETTINGS.link_way)
-        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.places if n not in ways]
-        apart, old = min(near, default=(math.inf, -1))
-        if apart < SETTINGS.link_reach:
-            information = information_matrix(covariance, nodes[old].pose.theta, SETTINGS.link_floor, SETTINGS.scale)
-            self._graph.add_edges([Edge(old, new, nodes[old].pose.to(pose), information, closure=True)])
-
-    def _add_sweep(self, number: int, pose: Pose, points: Points) -> None:
-        """Add points (n, 2), metres, frame of the robot at `pose`, to a node, the local map and the grid."""
-        node = self._graph.nodes[number]
-        relative = node.pose.to(pose)
-        sweep = Sweep(np.array([relative[:2]]), relative.transform(points).astype(np.float32))
-        node.sweeps.append(sweep)
-        self._local.add(number, pose.transform(points))
-        if self._grid is not None:
-            self._grid.insert(*sweep.seen_from(node.pose))
+        return complete
 
     def _close_loops(self, complete: int) -> None:
         """Search loops at a complete node, and optimise if there are any."""
@@ -310,18 +213,9 @@ class GraphMapper:
         self._optimise()
 
     def _optimise(self) -> None:
-        """Optimise all poses, drop closures that turn out wrong, and move the robot along."""
-        nodes = self._graph.nodes
-        relative = nodes[self._reference].pose.to(self._motion.pose)
-        poses = optimise(nodes, self._graph.edges)
-        shift = max(np.abs(np.subtract(poses[n], node.pose)).max() for n, node in nodes.items())
-        for number, pose in poses.items():
-            nodes[number].pose = pose
-        closures = [edge for edge in self._graph.edges if edge.closure]
-        wrong = [e for e, off in zip(closures, disagreement(nodes, closures), strict=True) if off > SETTINGS.wrong]
-        if wrong:
-            self._graph.remove_edges(wrong)
-        if shift > SETTINGS.shifted:
+        """Optimise all poses, and move the robot along."""
+        relative = self._trail.relative(self._motion.pose)
+        if settle(self._graph) > SHIFTED:
             self._grid = None
-        self._motion.correct(nodes[self._reference].pose @ relative)
+        self._motion.correct(self._graph.nodes[self._trail.reference].pose @ relative)
         self._local.rebuild(self._motion.pose)

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
 from rce.mapping.geometry import Pose, wrap_angles
-from rce.mapping.pose_graph.graph import Edge, Node
+from rce.mapping.pose_graph.graph import Edge, Node, PoseGraph
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -26,14 +26,32 @@ class OptimiserSettings:
         tolerance: Metres or radians; a smaller step of all poses ends the iteration.
         kernel: Squared Mahalanobis distance from which on a closure counts less: the parameter Phi of dynamic
             covariance scaling.
+        wrong: Squared Mahalanobis distance beyond which a closure is dropped after the optimisation.
     """
 
     iterations: int = 15
     tolerance: float = 1e-3
     kernel: float = 10.0
+    wrong: float = 50.0
 
 
 SETTINGS = OptimiserSettings()
+
+
+def settle(graph: PoseGraph) -> float:
+    """Move all nodes to their most likely poses, then drop closures that turn out wrong.
+
+    Returns:
+        Metres or radians by which a node has moved at most.
+    """
+    nodes, before = graph.nodes, graph.poses()
+    for number, pose in optimise(nodes, graph.edges).items():
+        nodes[number].pose = pose
+    closures = [edge for edge in graph.edges if edge.closure]
+    wrong = [edge for edge, off in zip(closures, disagreement(nodes, closures), strict=True) if off > SETTINGS.wrong]
+    if wrong:
+        graph.remove_edges(wrong)
+    return float(np.abs(graph.poses() - before).max())
 
 
 def optimise(nodes: Mapping[int, Node], edges: Sequence[Edge]) -> dict[int, Pose]:

@@ -92,7 +92,7 @@ def test_missing_or_invalid_array_is_rejected(simulation: Simulation, tmp_path: 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("paths/0/reference", 10_000),
+        ("paths/0/trail/reference", 10_000),
         ("paths/0/history/nodes", 10_000),
         ("paths/0/graph/edges/ends", -2),
         ("paths/0/graph/points/lengths", 7),
@@ -121,7 +121,7 @@ def test_files_of_other_formats_are_rejected(simulation: Simulation, tmp_path: P
     about = arrays["about"].copy()
     about[1] = "99"
     np.savez(path, **{**arrays, "about": about})
-    with pytest.raises(InvalidRequest, match="version 99; this program supports version 3"):
+    with pytest.raises(InvalidRequest, match="version 99; this program supports version 4"):
         resume_session(path)
     np.savez(path, about=np.array([{}], object))
     with pytest.raises(InvalidRequest, match="session"):

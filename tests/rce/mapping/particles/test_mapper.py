@@ -93,5 +93,5 @@ def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation
 
 def memory(mapper: ParticleMapper) -> float:
     """Return the bytes of all kept scans and of all tiles."""
-    sweeps = sum(sweep.points.nbytes for sweep in mapper._sweeps.values())
+    sweeps = sum(sweep.points.nbytes for _, sweep in mapper._graph.sweeps())
     return float(sweeps + mapper._filter.maps.used * mapper._filter.maps.tiles[0].nbytes)
