@@ -68,7 +68,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._writer: Writer | None = None  # while the socket is open
         self._flight = Flight(lambda: None)  # holds nothing back
         self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
-        self._pauses: dict[asyncio.Future[None], None] = {}  # reading is paused until all are done
+        self._pauses: dict[object, None] = {}  # that for which reading waits: futures, and a turn
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
@@ -301,15 +301,20 @@ class ClientSocket(WebSocketServerProtocol):
 
     def pause_reading(self, until: asyncio.Future[None]) -> None:
         """Stop reading from the client until this future, and all others that were given, are done."""
+        if self._pause(until):
+            until.add_done_callback(self._continue_reading)
+
+    def _pause(self, until: object) -> bool:
+        """Stop reading until this is done; return False if reading waits for it already, or has ended."""
         transport = self.transport
         if until in self._pauses or transport is None or transport.is_closing():
-            return
+            return False
         if not self._pauses:
             transport.pause_reading()
         self._pauses[until] = None
-        until.add_done_callback(self._continue_reading)
+        return True
 
-    def _continue_reading(self, done: asyncio.Future[None]) -> None:
+    def _continue_reading(self, done: object) -> None:
         self._pauses.pop(done, None)
         if self._pauses:
             return
@@ -329,10 +334,8 @@ class ClientSocket(WebSocketServerProtocol):
                 self._wait_for_turn()
 
     def _wait_for_turn(self) -> None:
-        if not self._pauses:
-            turn = asyncio.get_running_loop().create_future()
-            self.pause_reading(turn)
-            self._turns.wait(self._user, lambda: turn.set_result(None))
+        if not self._pauses and self._pause(self._turns):
+            self._turns.wait(self._user, lambda: self._continue_reading(self._turns))
 
     def end(self, reason: str) -> None:
         """Close the socket with this reason."""

@@ -24,10 +24,10 @@ from twisted.internet.base import ReactorBase
 from twisted.spread import pb
 
 from rce.api.client import ApiClient
-from rce.api.views import RobotView
 from rce.bench.floors import server
 from rce.bench.report import MILLI, aligned, machine
 from rce.bench.statistics import percentile
+from rce.bench.traffic.login import until_logged_out
 from rce.bench.traffic.socket import BareRobot, connect
 from rce.client import Robot
 from rce.client.address import Address, password_digest
@@ -37,7 +37,6 @@ TYPE = "std_msgs/String"
 NODE = ("rce_demo", "echo")
 NODES = 3  # of each environment: each is a process
 FLOOR_SAMPLES = 300
-END_TIMEOUT, END_INTERVAL = 60.0, 0.1  # seconds until the sessions of robots that closed their sockets have ended
 Work = Callable[[], Awaitable[object]]
 
 
@@ -98,6 +97,7 @@ async def measure(credentials: Credentials, crowds: Sequence[int], count: int) -
 async def _logins(url: str, credentials: Credentials, size: int, count: int) -> list[Phase]:
     """Log in and out, each time with another robotID."""
     phases: list[Phase] = []
+    api = ApiClient(credentials.url, user=credentials.user, password=credentials.password)
     secrets_of = {
         "log in by password": {"password": password_digest(credentials.password)},
         "log in by key": {"key": credentials.key},
@@ -111,20 +111,8 @@ async def _logins(url: str, credentials: Credentials, size: int, count: int) -> 
         phases.append(await _phase(size, kind, [[login] * count for _ in range(size)]))
         for robot in robots:
             robot.socket.close()
-        await _wait_for_end(credentials, {robot.name for robot in robots})
+        await until_logged_out(api, {robot.name for robot in robots})
     return phases
-
-
-async def _wait_for_end(credentials: Credentials, robots: set[str]) -> None:
-    """Wait until the sessions of robots have ended, which takes time that the next phase would seem to need."""
-    api = ApiClient(credentials.url, user=credentials.user, password=credentials.password)
-    async with asyncio.timeout(END_TIMEOUT):
-        while await asyncio.to_thread(_has_session, api, robots):  # noqa: ASYNC110  # there is no event for it
-            await asyncio.sleep(END_INTERVAL)
-
-
-def _has_session(api: ApiClient, robots: set[str]) -> bool:
-    return any(each.robotID in robots for each in api.items(RobotView, "robots"))
 
 
 async def _bare_robot(url: str, user: str, secret: dict[str, str]) -> BareRobot:

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import psutil
 from msgspec import Struct, field
 
+from rce.api.client import ApiClient
 from rce.api.http import EntryClient, basic
 from rce.api.joining import sibling_name
-from rce.bench.traffic.login import Login
+from rce.bench.traffic.login import Login, until_logged_out
 from rce.bench.traffic.socket import BareRobot, connect
 from rce.errors import RceError
 
@@ -129,9 +130,11 @@ async def crowd(login: Login, directory: Path, load: Load, processes: int) -> Cr
         elapsed = await _send(members, load, result)
         after = cost.seconds()
         result.endpoint, result.bench = ((now - then) / elapsed for now, then in zip(after, before, strict=True))
+        await _rest(result)
     finally:
         for member in members:
             member.socket.close()
+    await until_logged_out(ApiClient(login.url, key=login.key), {member.name for member in members})
     return result
 
 
@@ -189,7 +192,7 @@ async def _wire(members: Sequence[Member]) -> None:
 
 
 async def _send(members: Sequence[Member], load: Load, result: Crowd) -> float:
-    """Send the messages, evenly distributed over the time; return the seconds that it took until all had arrived."""
+    """Send the messages, evenly distributed over the time; return the seconds that it took."""
     start = b'{"type":"DM","data":{"iTag":"out","type":"%s","msgID":"nil","msg":{"data":"' % TYPE.encode()
     end = b"x" * (load.size - STAMP) + b'"}}}'
     total = int(load.rate * load.seconds * len(members))
@@ -201,8 +204,11 @@ async def _send(members: Sequence[Member], load: Load, result: Crowd) -> float:
             members[number % len(members)].socket.send(start + stamp + end)
         result.sent = due
         await asyncio.sleep(TICK)
-    elapsed = time.perf_counter() - began
+    return time.perf_counter() - began
+
+
+async def _rest(result: Crowd) -> None:
+    """Wait for the last messages."""
     with_rest = time.perf_counter() + REST
     while result.received < result.sent and time.perf_counter() < with_rest:  # noqa: ASYNC110  # a count, no event
         await asyncio.sleep(TICK)
-    return elapsed

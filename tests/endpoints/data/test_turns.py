@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from endpoints.data import link as link_module
+from endpoints.data import turns as turns_module
 from endpoints.data.frames import Message, pieces
 from endpoints.data.link import Link, StreamLink
 from endpoints.data.turns import Turns
@@ -26,17 +27,22 @@ async def test_users_have_turns_in_a_circle_whatever_each_has_queued() -> None:
     assert given[5:] == [("ann", number) for number in range(2, 40)]
 
 
-async def test_each_pass_of_the_loop_gives_one_turn() -> None:
-    turns, given = Turns(), [0]
+@pytest.mark.parametrize("works", [1, 4])
+async def test_each_pass_of_the_loop_gives_turns_for_one_slice(monkeypatch: pytest.MonkeyPatch, works: int) -> None:
+    """A pass for each turn would cost more than a small message."""
+    turns, given, now = Turns(), [0], [0.0]
+    monkeypatch.setattr(turns_module, "monotonic", lambda: now[0])
 
     def work() -> None:
         given[0] += 1
-        turns.wait("ann", work)
+        now[0] += 1.01 * turns_module.SLICE / works
+        if given[0] < 4 * works:
+            turns.wait("ann", work)
 
     turns.wait("ann", work)
     for passes in range(1, 5):
         await asyncio.sleep(0)
-        assert given == [passes]
+        assert given == [passes * works]
 
 
 async def test_failing_work_does_not_end_the_turns_of_others() -> None:
