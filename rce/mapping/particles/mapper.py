@@ -56,8 +56,8 @@ class ParticleMapper:
     """Mapper with a Rao-Blackwellized particle filter (see `ParticleFilter`) behind laser odometry.
 
     Between two steps of the filter the laser odometry moves the robot. The map and the trajectory are those of
-    the particle with the largest weight. When another particle takes over, which is how a loop closes, the grid is
-    rendered anew.
+    the particle with the largest weight. A loop closes when another particle takes over, or when the path is corrected
+    (see `PathGraph`); the grid is rendered anew then.
     """
 
     def __init__(self, settings: MapperSettings | None = None) -> None:
