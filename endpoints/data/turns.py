@@ -1,8 +1,8 @@
 """Turns of users at the event loop, so that the flood of one user delays nobody else's messages for long.
 
 Received messages are processed in slices of time. What is left after a slice waits for its user's next turn. Each pass
-of the loop gives turns for one slice of time, to all users in a circle; a user's links and robots share the turns of
-that user.
+of the loop gives turns, to all users in a circle, until a slice of time is over. So a pass takes two slices at most. A
+user's links and robots share the turns of that user.
 """
 
 from __future__ import annotations

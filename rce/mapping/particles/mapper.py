@@ -109,7 +109,7 @@ class ParticleMapper:
     def relocate(self, pose: Pose) -> None:
         """Continue at a pose (map frame) to which the robot was carried while nothing was recorded."""
         self._filter.relocate(pose)
-        self._graph.relocate(pose)
+        self._graph.relocate(self._filter.paths.path(self._filter.best), pose)
         self._odometry = LaserOdometry(self.settings.max_range)
         self._step_pose, self._step_wheel_pose, self._step_count, self._lost = None, ORIGIN, 0, False
 

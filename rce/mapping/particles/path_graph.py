@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from rce.mapping.matching import local_map
 from rce.mapping.pose_graph import loops
 from rce.mapping.pose_graph.graph import Edge, PoseGraph, Sweep
 from rce.mapping.pose_graph.loops import LoopFinder
-from rce.mapping.pose_graph.optimisation import settle
+from rce.mapping.pose_graph.optimisation import optimise
 from rce.mapping.pose_graph.trail import Trail
 from rce.mapping.state import Reader, State
 
@@ -35,23 +36,23 @@ class PathGraph:
         self.graph = PoseGraph()
         self._trail = Trail(self.graph, self.graph.add_node(ORIGIN))
         self._loops = LoopFinder(self.graph)
+        self._closures: list[int] = []  # edges of the graph that the finder has accepted
         self._steps = [0]  # pose of the path that each node is
-        self._places: list[int] = []  # node with which each pose of the path moves
+        self._places: list[tuple[int, Pose]] = []  # node with which each pose of the path moves, and the pose there
 
     def sweeps(self) -> Iterator[tuple[Pose, Sweep]]:
         """Yield all scans, in the order in which they were kept, with the poses of their nodes."""
         return ((node.pose, sweep) for node in self.graph.nodes.values() for sweep in node.sweeps)
 
-    def follow(self, path: Array) -> None:
-        """Move the nodes to the poses (n, 3) of the best path, map frame, which may be another one than before."""
+    def follow(self, path: Array) -> bool:
+        """Move the nodes to the poses (n, 3) of the best path, map frame; return False if they are there already."""
         if not len(path):
-            return
+            return False
         poses = path[self._steps]
         moved = np.flatnonzero((poses != self.graph.poses()).any(axis=1)).tolist()
         for number in moved:
             self.graph.nodes[number].pose = Pose(*poses[number].tolist())
-        if moved:
-            self.graph.measure_again(moved)
+        return bool(moved)
 
     def extend(self, path: Array, points: Points | None, covariance: Array) -> Array | None:
         """Add the last pose of the best path.
@@ -62,21 +63,29 @@ class PathGraph:
             covariance: (3, 3) of the last pose beside those before, map frame.
 
         Returns:
-            The corrected path (n, 3), if a loop is found that the best path does not close.
+            The corrected path (n, 3), if it does not close a loop that was found.
         """
-        self.follow(path)
+        given = path
+        if self.follow(path):
+            path = self._corrected(path)  # before its last pose has a place
         closures: list[Edge] = []
+        pose = Pose(*path[-1].tolist())
         if points is not None:
             near = self.graph.distances(self._trail.reference, local_map.SETTINGS.way)
-            complete = self._trail.advance(Pose(*path[-1].tolist()), points, covariance, near)
+            complete = self._trail.advance(pose, points, covariance, near)
             self._steps += [len(path) - 1] * (len(self.graph.nodes) - len(self._steps))
             closures = [] if complete is None else self._loops.search(complete)
-        self._places.append(self._trail.reference)
-        self.graph.add_edges(closures)
-        return self._corrected(path) if self._is_contradicted(closures) else None
+        self._places.append((self._trail.reference, self._trail.relative(pose)))
+        if closures:
+            first = len(self.graph.edges)
+            self.graph.add_edges(closures)
+            self._closures += range(first, len(self.graph.edges))
+            path = self._corrected(path)
+        return None if path is given else path
 
-    def relocate(self, pose: Pose) -> None:
-        """Continue at a pose in the map frame, to which the robot was carried."""
+    def relocate(self, path: Array, pose: Pose) -> None:
+        """Continue at a pose in the map frame, to which the robot was carried, with another path (n, 3)."""
+        self.follow(path)
         self._trail.relocate(pose)
 
     def state(self) -> State:
@@ -85,8 +94,10 @@ class PathGraph:
             "graph": self.graph.state(),
             "trail": self._trail.state(),
             "loops": self._loops.state(),
+            "closures": np.array(self._closures, np.int64),
             "steps": np.array(self._steps, np.int64),
-            "places": np.array(self._places, np.int64),
+            "places": np.array([place for place, _ in self._places], np.int64),
+            "relative": np.array([pose for _, pose in self._places], np.float64).reshape(-1, 3),
         }
 
     @classmethod
@@ -102,21 +113,69 @@ class PathGraph:
         whole._trail = Trail.restored(graph, saved.part("trail"))
         whole._loops = LoopFinder(graph)
         whole._loops.restore(saved.part("loops"))
+        whole._closures = saved.indices("closures", len(graph.edges), None).tolist()
         whole._steps = saved.indices("steps", max(steps, 1), len(graph.nodes)).tolist()
-        whole._places = saved.indices("places", len(graph.nodes), steps).tolist()
+        places, relative = saved.indices("places", len(graph.nodes), steps).tolist(), saved.poses("relative")
+        if len(relative) != len(places):
+            raise saved.invalid("relative", f"has {len(relative)} poses, not {len(places)}")
+        whole._places = list(zip(places, relative, strict=True))
         return whole
 
-    def _is_contradicted(self, closures: Sequence[Edge]) -> bool:
-        """Return whether the path differs from one of the closures more than closures that agree with each other."""
+    def _contradicted(self, numbers: Iterable[int]) -> list[int]:
+        """Return those of these edges that the path contradicts by more than `LoopSettings.same` and `same_turn`."""
         nodes, most = self.graph.nodes, loops.SETTINGS
-        return any(
-            edge.motion.to(nodes[edge.first].pose.to(nodes[edge.second].pose)).exceeds(most.same, most.same_turn)
-            for edge in closures
-        )
+        edges = {number: self.graph.edges[number] for number in numbers}
+        return [
+            number
+            for number, edge in edges.items()
+            if edge.motion.to(nodes[edge.first].pose.to(nodes[edge.second].pose)).exceeds(most.same, most.same_turn)
+        ]
 
     def _corrected(self, path: Array) -> Array:
-        """Optimise the graph; return the path along it."""
-        nodes = self.graph.nodes
-        relative = [nodes[place].pose.to(Pose(*pose)) for place, pose in zip(self._places, path.tolist(), strict=True)]
-        settle(self.graph)
-        return np.array([nodes[place].pose @ each for place, each in zip(self._places, relative, strict=True)])
+        """Return the most likely path, or the same one if it contradicts no closures but wrong ones.
+
+        This path may be another one than when the edges were made. So the motions from node to node are measured anew,
+        and links that this path contradicts are those of a path that has died.
+        """
+        if not self._contradicted(self._closures):
+            return path
+        self._drop(self._contradicted(self._links()))
+        nodes, edges = self.graph.nodes, self.graph.edges
+        before = self._contradicted(self._closures)
+        along = [
+            replace(edge, motion=nodes[edge.first].pose.to(nodes[edge.second].pose))
+            if edge.second == edge.first + 1
+            else edge
+            for edge in edges
+        ]
+        for number, pose in optimise(nodes, along).items():
+            nodes[number].pose = pose
+        wrong = self._contradicted([*self._closures, *self._links()])
+        self._drop(wrong)
+        if set(before) <= set(wrong):
+            self.follow(path)
+            return path
+        return self._path_along(path)
+
+    def _links(self) -> list[int]:
+        """Return the edges that link nodes to those of an earlier pass."""
+        closures = set(self._closures)
+        return [number for number, edge in enumerate(self.graph.edges) if edge.closure and number not in closures]
+
+    def _path_along(self, path: Array) -> Array:
+        """Return the path along the nodes. A last pose without a place follows as on the given path."""
+        poses = [self.graph.nodes[place].pose @ relative for place, relative in self._places]
+        if len(poses) < len(path):
+            before, last = (Pose(*pose) for pose in path[-2:].tolist())
+            poses.append(poses[-1] @ before.to(last))
+        found = np.array(poses)
+        found[self._steps] = self.graph.poses()  # the same but for rounding
+        return found
+
+    def _drop(self, wrong: Sequence[int]) -> None:
+        """Remove edges, which the most likely path contradicts."""
+        if wrong:
+            edges = self.graph.edges
+            left = {id(edges[number]) for number in set(self._closures) - set(wrong)}
+            self.graph.remove_edges([edges[number] for number in wrong])
+            self._closures = [number for number, edge in enumerate(self.graph.edges) if id(edge) in left]

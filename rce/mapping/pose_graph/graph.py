@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,16 +150,6 @@ class PoseGraph:
         for edge in self.edges:
             self._connect(edge)
 
-    def measure_again(self, moved: Collection[int]) -> None:
-        """Replace the motions of the edges of these nodes by those between the poses that their nodes have now."""
-        nodes, moved = self.nodes, set(moved)
-        self.edges = [
-            replace(edge, motion=nodes[edge.first].pose.to(nodes[edge.second].pose))
-            if edge.first in moved or edge.second in moved
-            else edge
-            for edge in self.edges
-        ]
-
     def state(self) -> State:
         """Return the graph as arrays to save."""
         sweeps = [(number, sweep) for number, node in self.nodes.items() for sweep in node.sweeps]
@@ -185,6 +175,8 @@ class PoseGraph:
         for place, sensor, piece in zip(places, sensors, points, strict=True):
             self.nodes[place].sweeps.append(Sweep(sensor[None].copy(), piece))
         self.add_edges(restore_edges(saved.part("edges"), len(self.nodes)))
+        if self.nodes and len(self.distances(0)) < len(self.nodes):
+            raise saved.invalid("edges", "do not connect all nodes")
 
     def distances(self, start: int, limit: float = math.inf) -> dict[int, float]:
         """Return the metres along edges to the nodes at most `limit` away, nearest first (Dijkstra, 1959)."""
@@ -238,6 +230,8 @@ def restore_edges(saved: Reader, nodes: int) -> list[Edge]:
     motions = saved.poses("motions")
     ends = saved.indices("ends", nodes, len(motions), 2).tolist()
     information = saved.array("information", np.float64, len(motions), 3, 3)
+    if (np.linalg.eigvalsh(information + information.swapaxes(1, 2)) <= 0).any():
+        raise saved.invalid("information", "has a matrix that is not the inverse of a covariance")
     closures = saved.array("closures", np.bool_, len(motions)).tolist()
     return [
         Edge(first, second, *measured)

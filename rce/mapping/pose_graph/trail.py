@@ -22,6 +22,7 @@ class TrailSettings:
     Attributes:
         move: Metres between scans that are kept; those between show hardly anything new.
         turn: Radians between scans that are kept.
+        most: Scans that are kept at a node at most; more are made only by a robot that stays there.
         node_move: Metres between nodes.
         node_turn: Radians between nodes.
         link_way: Metres along edges, at least, to a node of an earlier pass that a new node is linked to.
@@ -33,6 +34,7 @@ class TrailSettings:
 
     move: float = 0.2
     turn: float = 0.1
+    most: int = 40
     node_move: float = 1.0
     node_turn: float = 0.5
     link_way: float = 5.0
@@ -53,7 +55,7 @@ class Trail:
 
     Attributes:
         reference: Number of the node near the robot, with which its pose moves.
-        is_open: Whether scans are kept at the reference: the robot has not left it since it was made.
+        is_open: Whether scans are kept at the reference: it is not full, and the robot has not left it yet.
     """
 
     def __init__(self, graph: PoseGraph, reference: int) -> None:
@@ -104,10 +106,11 @@ class Trail:
         else:
             self._open(self._add_node(pose, covariance))
         relative = self._kept = self.relative(pose)
+        sweeps = self._graph.nodes[self.reference].sweeps
+        self.is_open &= len(sweeps) < SETTINGS.most
         if self.is_open:
-            sweep = Sweep(np.array([relative[:2]]), relative.transform(points).astype(np.float32))
-            self._graph.nodes[self.reference].sweeps.append(sweep)
-        return open_node if self.reference != open_node else None
+            sweeps.append(Sweep(np.array([relative[:2]]), relative.transform(points).astype(np.float32)))
+        return None if self.is_open and self.reference == open_node else open_node
 
     def state(self) -> State:
         """Return the trail as arrays to save, without the graph."""

@@ -1,4 +1,4 @@
-"""Users take turns at the event loop; turns are counted, not timed."""
+"""Users take turns at the event loop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ async def test_users_have_turns_in_a_circle_whatever_each_has_queued() -> None:
     for user, count in (("ann", 40), ("bob", 2), ("cem", 1)):
         for number in range(count):
             turns.wait(user, lambda user=user, number=number: given.append((user, number)))  # type: ignore[misc]
-    while turns.busy("ann"):  # noqa: ASYNC110  # each pass of the loop is a turn
+    while turns.busy("ann"):  # noqa: ASYNC110  # the passes of the loop give the turns
         await asyncio.sleep(0)
     assert given[:5] == [("ann", 0), ("bob", 0), ("cem", 0), ("ann", 1), ("bob", 1)]
     assert given[5:] == [("ann", number) for number in range(2, 40)]
@@ -74,7 +74,7 @@ class Reception:
         return StreamLink(name, deliver, lambda link, reason: None, lambda message: None, None, self.turns, user)
 
     async def until_delivered(self, count: int) -> None:
-        while len(self.delivered) < count:  # noqa: ASYNC110  # each pass of the loop is a turn
+        while len(self.delivered) < count:  # noqa: ASYNC110  # the passes of the loop give the turns
             await asyncio.sleep(0)
 
 

@@ -6,14 +6,18 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rce.mapping.evaluation.simulation import Simulation, evaluate
-from rce.mapping.geometry import Pose
+from rce.mapping.geometry import Points, Pose
+from rce.mapping.grid import OccupancyGrid
 from rce.mapping.mapper import MapperSettings
 from rce.mapping.particles.mapper import ParticleMapper
 from rce.mapping.scans import Scan
 
 FEW = 10  # particles, for tests in which the accuracy does not matter
+OFFSET = np.array([20.0, -10.0])  # metres
+Array = NDArray[np.float64]
 
 
 def mapped(scans: Iterable[Scan], **settings: int) -> ParticleMapper:
@@ -65,6 +69,43 @@ def test_missing_odometry_and_slip_are_tolerated(simulation: Simulation) -> None
     for scans in (without, slipped):
         mapper = mapped(scans)
         assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_particles_continue_from_a_corrected_path(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    scans = simulation.records[:120]
+    mapper = mapped(scans[:100], particles=FEW)
+    before, drawn = mapper.trajectory(), mapper.grid()
+    extend = mapper._graph.extend
+    corrected: list[Array] = []
+
+    def correct(path: Array, points: Points | None, covariance: Array) -> Array | None:
+        extend(path, points, covariance)
+        if not corrected:
+            corrected.append(moved(path))
+            mapper._graph.follow(corrected[0])
+            return corrected[0]
+        return None
+
+    monkeypatch.setattr(mapper._graph, "extend", correct)
+    for scan in scans[100:]:
+        mapper.add(scan)
+    after = mapper.trajectory()
+    assert len(after) == len(scans)
+    np.testing.assert_allclose(after[:100, 1:3], before[:, 1:3] + OFFSET, atol=0.2)
+    steps = np.hypot(*np.diff(after[:, 1:3], axis=0).T)
+    assert steps.max() < 0.3, "the robot goes on from there"
+    np.testing.assert_allclose(middle(mapper.grid()), middle(drawn) + OFFSET, atol=0.5)
+
+
+def middle(grid: OccupancyGrid) -> Array:
+    """Return the mean (2,) of all occupied cells, metres, map frame."""
+    return np.asarray(grid.centres(grid.cells > 50).mean(axis=0), np.float64)
+
+
+def moved(path: Array) -> Array:
+    """Return the path moved by OFFSET."""
+    shifted: Array = path + np.array([*OFFSET, 0.0])
+    return shifted
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation.floor_plan import FloorPlan
 from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.particles.path_graph import PathGraph
+from rce.mapping.pose_graph.graph import Edge
 from rce.mapping.state import Reader, flatten
 from tests.support.laser import RANGE_MAX, scan_at
 
@@ -76,7 +77,7 @@ class Driven:
 
     def error(self) -> float:
         """Return the metres between the path and the truth at most."""
-        true = np.array([self.truth[0].to(pose) for pose in self.truth])
+        true = np.array([self.truth[0].to(pose) for pose in self.truth[: len(self.path)]])
         return float(np.hypot(*(self.path - true)[:, :2].T).max())
 
 
@@ -91,36 +92,63 @@ def test_path_that_contradicts_a_loop_is_corrected() -> None:
     assert robot.error() < 0.5
 
 
+def test_corrected_path_is_that_of_the_graph() -> None:
+    robot = Driven(Pose(0.0, 0.0, 0.002))
+    robot.drive()
+    assert len(robot.corrected) == 1
+    assert not robot.graph.follow(robot.path)
+
+
 def test_path_that_agrees_with_a_loop_is_left_as_it_is() -> None:
     robot = Driven(ORIGIN)
     robot.drive()
     assert any(edge.closure and edge.second - edge.first > 20 for edge in robot.graph.graph.edges)
     assert not robot.corrected
-    assert robot.error() < 1e-9
 
 
-def test_graph_follows_another_path() -> None:
-    """Otherwise an optimisation would bend the path back to that of a particle that has died."""
+def test_closures_are_kept_when_another_path_contradicts_them() -> None:
+    """Another particle may become the best one after a loop was found that the path before had closed."""
+    robot = Driven(ORIGIN)
+    robot.drive(len(robot.truth) - 1)
+    assert not robot.corrected
+    bend = np.linspace(0.0, 2.0, len(robot.path) - 20)
+    robot.path[20:, 1] += bend
+    assert robot.error() == pytest.approx(2.0)
+    robot.drive()
+    assert len(robot.corrected) == 1
+    assert robot.error() < 1.0
+    assert math.dist(robot.path[-1, :2], robot.truth[0].to(robot.truth[-1])[:2]) < 0.3
+
+
+def test_path_is_left_as_it_is_by_closures_that_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = Driven(ORIGIN)
     robot.drive(60)
-    other = robot.path.copy()
-    other[40:, 1] += 0.5
-    robot.graph.follow(other)
-    nodes, edges = robot.graph.graph.nodes, robot.graph.graph.edges
-    assert {node.pose for node in nodes.values()} <= {Pose(*pose) for pose in other.tolist()}
-    for edge in edges:
-        assert edge.motion == pytest.approx(nodes[edge.first].pose.to(nodes[edge.second].pose))
+    nodes = robot.graph.graph.nodes
+    wrong = [
+        Edge(i, i + 10, nodes[i].pose.to(nodes[i + 10].pose) @ Pose(0.0, 3.0, 0.0), 400 * np.eye(3), closure=True)
+        for i in range(3)
+    ]
+    monkeypatch.setattr(robot.graph._loops, "search", lambda node: wrong)
+    before = robot.path
+    robot.drive(66)
+    assert not robot.corrected
+    np.testing.assert_array_equal(robot.path[:60], before)
+    assert not robot.graph.follow(robot.path)
+    assert not any(edge.motion == wrong[0].motion for edge in robot.graph.graph.edges)
 
 
 def test_restored_graph_continues_exactly() -> None:
     robot = Driven(Pose(0.0, 0.0, 0.002))
     robot.drive(100)
+    robot.path[40:, 1] += 0.1  # of another particle
+    robot.drive(110)
     saved = Reader(dict(flatten(robot.graph.state())))
     restored = PathGraph.restored(saved, len(robot.path))
+    assert restored.graph.distances(0) == robot.graph.graph.distances(0)
     other = Driven(robot.drift, graph=restored, path=robot.path)
     for each in (robot, other):
         each.drive()
-    assert robot.corrected == other.corrected
+    assert robot.corrected == other.corrected != []
     np.testing.assert_array_equal(robot.path, other.path)
     with pytest.raises(InvalidRequest, match="steps"):
         PathGraph.restored(saved, 10)

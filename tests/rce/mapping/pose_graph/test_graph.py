@@ -9,7 +9,7 @@ import pytest
 
 from rce.errors import InvalidRequest
 from rce.mapping.geometry import ORIGIN, Pose
-from rce.mapping.pose_graph.graph import DRIFT, Edge, Node, PoseGraph, Sweep, information_matrix, points_around
+from rce.mapping.pose_graph.graph import DRIFT, Edge, Matrix, Node, PoseGraph, Sweep, information_matrix, points_around
 from rce.mapping.state import Reader, flatten
 
 PRECISE = 1e4 * np.eye(3)  # information of an edge: a centimetre, half a degree
@@ -116,6 +116,23 @@ def test_restored_graph_is_the_same() -> None:
     ]
     np.testing.assert_array_equal(other.edges[-1].information, 2 * PRECISE)
     assert other.distances(0) == graph.distances(0)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((3, 3)), -PRECISE, np.diag([1.0, -1.0, 1.0])], ids=["zero", "negative", "indefinite"]
+)
+def test_information_that_is_no_inverse_covariance_is_refused(matrix: Matrix) -> None:
+    state = dict(flatten(chain(3).state()))
+    state["edges/information"][1] = matrix
+    with pytest.raises(InvalidRequest, match="edges/information has a matrix that is not the inverse of a covariance"):
+        PoseGraph().restore(Reader(state))
+
+
+def test_graph_in_two_parts_is_refused() -> None:
+    state = dict(flatten(chain(4).state()))
+    state["edges/ends"][1] = 0, 1
+    with pytest.raises(InvalidRequest, match="edges do not connect all nodes"):
+        PoseGraph().restore(Reader(state))
 
 
 @pytest.mark.parametrize("name", ["places", "edges/ends"])

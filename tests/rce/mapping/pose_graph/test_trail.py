@@ -57,6 +57,13 @@ def test_new_node_is_linked_to_an_earlier_pass() -> None:
         assert abs(first.x - second.x) < SETTINGS.link_reach
 
 
+def test_robot_that_stays_is_not_kept_for_ever() -> None:
+    graph, trail, completed = driven(*[Pose(0.3 * (i % 3), 0.0, 0.0) for i in range(3 * SETTINGS.most)])
+    assert [len(node.sweeps) for node in graph.nodes.values()] == [SETTINGS.most]
+    assert not trail.is_open
+    assert completed == [None] * SETTINGS.most + [0] + [None] * (2 * SETTINGS.most - 1)
+
+
 def test_uncertain_pose_gets_a_node_of_its_own() -> None:
     graph, trail, _ = driven(ORIGIN)
     trail.advance(Pose(0.3, 0.0, 0.0), POINTS, np.diag([1.0, 1.0, 0.5]), [0], reliable=False)
