@@ -25,7 +25,7 @@ class PathGraph:
 
     A filter closes a loop only if one of its particles is right when the robot comes back, which after hundreds of
     metres none may be. So loops are also searched as the mapper `graph` does it (see `LoopFinder`). Where the best path
-    contradicts a closure, the optimised graph tells the most likely path.
+    contradicts three closures, the optimised graph tells the most likely path.
 
     Attributes:
         graph: Its nodes are poses of the path.
@@ -132,12 +132,12 @@ class PathGraph:
         ]
 
     def _corrected(self, path: Array) -> Array:
-        """Return the most likely path, or the same one if it contradicts no closures but wrong ones.
+        """Return the most likely path, or the same one if it contradicts fewer closures than it takes to accept one.
 
         This path may be another one than when the edges were made. So the motions from node to node are measured anew,
         and links that this path contradicts are those of a path that has died.
         """
-        if not self._contradicted(self._closures):
+        if len(self._contradicted(self._closures)) < loops.SETTINGS.confirmed:
             return path
         self._drop(self._contradicted(self._links()))
         nodes, edges = self.graph.nodes, self.graph.edges
