@@ -1,7 +1,7 @@
 """Turns of users at the event loop, so that the flood of one user delays nobody else's messages for long.
 
 Received messages are processed in slices of time. What is left after a slice waits for its user's next turn. Each pass
-of the loop gives turns, to all users in a circle, until a slice of time is over. So a pass takes two slices at most. A
+of the loop gives turns, to all users in a circle, until a slice of time is over. So a pass takes about two slices. A
 user's links and robots share the turns of that user.
 """
 

@@ -29,6 +29,7 @@ MAX_REQUEST = 64 * 1024  # bytes of the opening HTTP request
 CHUNK = 64 * 1024  # bytes; smaller fragments of a message are joined as they come
 TICK = 10.0  # seconds; a robot that is silent for one tick is pinged, after two its socket is closed
 NORMAL = 1000  # close code of a normal closure (RFC 6455, section 7.4.1)
+TURN = "turn"  # of the user, for which reading waits
 REFUSED = 4000  # plus the HTTP status: close code of a refusal after the handshake
 
 log = Logger()
@@ -68,7 +69,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._writer: Writer | None = None  # while the socket is open
         self._flight = Flight(lambda: None)  # holds nothing back
         self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
-        self._pauses: dict[object, None] = {}  # that for which reading waits: futures, and a turn
+        self._pauses: dict[object, None] = {}  # what reading waits for: futures, and TURN
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
@@ -334,8 +335,8 @@ class ClientSocket(WebSocketServerProtocol):
                 self._wait_for_turn()
 
     def _wait_for_turn(self) -> None:
-        if not self._pauses and self._pause(self._turns):
-            self._turns.wait(self._user, lambda: self._continue_reading(self._turns))
+        if not self._pauses and self._pause(TURN):
+            self._turns.wait(self._user, lambda: self._continue_reading(TURN))
 
     def end(self, reason: str) -> None:
         """Close the socket with this reason."""

@@ -37,8 +37,8 @@ class PathGraph:
         self._trail = Trail(self.graph, self.graph.add_node(ORIGIN))
         self._loops = LoopFinder(self.graph)
         self._closures: list[int] = []  # edges of the graph that the finder has accepted
-        self._steps = [0]  # pose of the path that each node is
-        self._places: list[tuple[int, Pose]] = []  # node with which each pose of the path moves, and the pose there
+        self._steps = [0]  # number of the pose of the path at which each node was made
+        self._places: list[tuple[int, Pose]] = []  # node with which each pose moves, and the pose in its frame
 
     def sweeps(self) -> Iterator[tuple[Pose, Sweep]]:
         """Yield all scans, in the order in which they were kept, with the poses of their nodes."""
@@ -63,7 +63,7 @@ class PathGraph:
             covariance: (3, 3) of the last pose beside those before, map frame.
 
         Returns:
-            The corrected path (n, 3), if it does not close a loop that was found.
+            The corrected path (n, 3) if this one contradicts loops that were found, else None.
         """
         given = path
         if self.follow(path):
@@ -84,7 +84,7 @@ class PathGraph:
         return None if path is given else path
 
     def relocate(self, path: Array, pose: Pose) -> None:
-        """Continue at a pose in the map frame, to which the robot was carried, with another path (n, 3)."""
+        """Follow the best path (n, 3), and continue at a pose in the map frame, to which the robot was carried."""
         self.follow(path)
         self._trail.relocate(pose)
 
@@ -134,21 +134,21 @@ class PathGraph:
     def _corrected(self, path: Array) -> Array:
         """Return the most likely path, or the same one if it contradicts fewer closures than it takes to accept one.
 
-        This path may be another one than when the edges were made. So the motions from node to node are measured anew,
-        and links that this path contradicts are those of a path that has died.
+        Edges may be older than this path, which may be that of another particle. So the motions between consecutive
+        nodes are taken from this path, and links that it contradicts are dropped.
         """
         if len(self._contradicted(self._closures)) < loops.SETTINGS.confirmed:
             return path
         self._drop(self._contradicted(self._links()))
         nodes, edges = self.graph.nodes, self.graph.edges
         before = self._contradicted(self._closures)
-        along = [
+        measured = [
             replace(edge, motion=nodes[edge.first].pose.to(nodes[edge.second].pose))
             if edge.second == edge.first + 1
             else edge
             for edge in edges
         ]
-        for number, pose in optimise(nodes, along).items():
+        for number, pose in optimise(nodes, measured).items():
             nodes[number].pose = pose
         wrong = self._contradicted([*self._closures, *self._links()])
         self._drop(wrong)
@@ -173,7 +173,7 @@ class PathGraph:
         return found
 
     def _drop(self, wrong: Sequence[int]) -> None:
-        """Remove edges, which the most likely path contradicts."""
+        """Remove edges from the graph, and from the closures."""
         if wrong:
             edges = self.graph.edges
             left = {id(edges[number]) for number in set(self._closures) - set(wrong)}

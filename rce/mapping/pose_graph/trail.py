@@ -22,7 +22,7 @@ class TrailSettings:
     Attributes:
         move: Metres between scans that are kept; those between show hardly anything new.
         turn: Radians between scans that are kept.
-        most: Scans that are kept at a node at most; more are made only by a robot that stays there.
+        most: Maximum number of scans at a node; only a robot that stays there sees more.
         node_move: Metres between nodes.
         node_turn: Radians between nodes.
         link_way: Metres along edges, at least, to a node of an earlier pass that a new node is linked to.
@@ -78,7 +78,7 @@ class Trail:
         self.is_open, self._kept = False, None
 
     def has_moved(self, pose: Pose) -> bool:
-        """Return whether the robot, at a pose in the map frame, may see something new."""
+        """Return whether the robot may see something new at a pose in the map frame, so far from the last scan."""
         return self._kept is None or self._kept.to(self.relative(pose)).exceeds(SETTINGS.move, SETTINGS.turn)
 
     def relative(self, pose: Pose) -> Pose:

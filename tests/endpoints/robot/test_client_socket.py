@@ -177,7 +177,7 @@ async def test_opening_requests_that_come_at_once_take_turns(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pending_logins, "network", lambda address: address)
-    monkeypatch.setattr(turns, "SLICE", -1.0)  # each has used up the time of its pass
+    monkeypatch.setattr(turns, "SLICE", -1.0)  # each turn uses up its pass
     loop, passes, read = asyncio.get_running_loop(), [0], []
 
     def count() -> None:
@@ -191,6 +191,6 @@ async def test_opening_requests_that_come_at_once_take_turns(
     for writer in writers:
         writer.write(b"GET /")
     await eventually(lambda: len(read) == 5)
-    assert len(set(read)) == 5, "not two in one slice of time"
+    assert len(set(read)) == 5, "not two in one pass of the event loop"
     for writer in writers:
         writer.close()
