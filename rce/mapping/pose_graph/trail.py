@@ -78,7 +78,7 @@ class Trail:
         self.is_open, self._kept = False, None
 
     def has_moved(self, pose: Pose) -> bool:
-        """Return whether the robot may see something new at a pose in the map frame, so far from the last scan."""
+        """Return whether a pose in the map frame is far enough from the last scan to see something new."""
         return self._kept is None or self._kept.to(self.relative(pose)).exceeds(SETTINGS.move, SETTINGS.turn)
 
     def relative(self, pose: Pose) -> Pose:
