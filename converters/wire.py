@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 from uuid import uuid4
 
 import msgspec
@@ -13,7 +13,7 @@ from converters.scalars import FieldError
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
-class Wire(NamedTuple):
+class Wire(msgspec.Struct, frozen=True):
     """Payload of a data message.
 
     Attributes:

@@ -44,7 +44,7 @@ class HopRecorder:
 
     def sent(self, message: Message) -> None:
         """Record that a message begins to go out over a link."""
-        self._to_link.observe_since(message.entered_at)
+        self._to_link.observe(time.perf_counter() - message.entered_at)
         if not self._followed:
             return
         for each in message.by_sender():
@@ -59,7 +59,7 @@ class HopRecorder:
 
     def delivered(self, interface: bytes, message: Message) -> None:
         """Record that a message from a link was written to the robot's socket or handed to ROS."""
-        self._from_link.observe_since(message.entered_at)
+        self._from_link.observe(time.perf_counter() - message.entered_at)
         if interface in self._followed:
             self._record(interface, message, "delivered", time.perf_counter())
 

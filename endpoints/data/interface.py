@@ -100,17 +100,18 @@ class Interface(ABC):
         self._deliver(message, self.keep)
 
     def _deliver(self, message: Message, keep: int | None) -> None:
-        if message.destination is not None:
-            link = self.peers.get(message.destination)
-            if link is None:
-                raise NotConnected(f"interface {self.spec.tag}: the peer to which this message is addressed is gone")
-            self._put(message, link, keep)
-            self.traffic.sent.count(len(message.payload))
-            return
-        if not self.peers:
+        if message.destination is None:
+            links = set(self.peers.values())
+        elif message.destination in self.peers:
+            links = {self.peers[message.destination]}
+        else:
+            raise NotConnected(f"interface {self.spec.tag}: the peer to which this message is addressed is gone")
+        if not links:
             raise NotConnected(f"interface {self.spec.tag} has no connection: wait for its status, or connect it")
-        for link in set(self.peers.values()):
-            self._put(message, link, keep)
+        for link in links:
+            dropped = link.send(message, keep, self)
+            if dropped:
+                self.count_drops(dropped, link)
         self.traffic.sent.count(len(message.payload))
 
     def evicted(self, count: int) -> None:
@@ -118,11 +119,6 @@ class Interface(ABC):
         self.dropped += count
         if len(self.peers) == 1:
             self.traffic.of(next(iter(self.peers))).drops += count
-
-    def _put(self, message: Message, link: Link, keep: int | None) -> None:
-        dropped = link.send(message, keep, self)
-        if dropped:
-            self.count_drops(dropped, link)
 
     def count_drops(self, count: int, link: Link) -> None:
         """Count messages that were dropped on the way to a link."""

@@ -98,7 +98,8 @@ class LoopLink(_QueuedLink[Message]):
     def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
         if self._outbox.idle:
-            self._write(message)
+            self._sent(message)
+            self._deliver(message, self)
             return 0
         return self._outbox.put(message.source, iter((message,)), keep, len(message.payload) + OVERHEAD, owner)
 

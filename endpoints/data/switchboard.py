@@ -173,8 +173,10 @@ class Switchboard:
         Raises:
             LimitExceeded: The link carries too many messages that no interface receives.
         """
-        heard = [self._deliver_from(each, link) for each in message.by_sender()]
-        if not any(heard) and isinstance(link, StreamLink):
+        heard = False
+        for each in message.by_sender():
+            heard = self._deliver_from(each, link) or heard
+        if not heard and isinstance(link, StreamLink):
             link.stray()
 
     def _deliver_from(self, message: Message, link: Link) -> bool:
@@ -186,19 +188,16 @@ class Switchboard:
             heard = True
             if message.destination is None or message.destination == interface.id:
                 try:
-                    self._deliver_to(interface, message, link)
+                    count = interface.traffic.of(message.source)
+                    count.count(len(message.payload))
+                    self.hops.received(interface.id, message)
+                    before = interface.dropped
+                    interface.receive(message, link)
+                    if interface.dropped != before:
+                        count.drops += interface.dropped - before
                 except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
                     log.failure("defect while delivering to interface {interface}", interface=interface.spec.tag)
         return heard
-
-    def _deliver_to(self, interface: Interface, message: Message, link: Link) -> None:
-        count = interface.traffic.of(message.source)
-        count.count(len(message.payload))
-        self.hops.received(interface.id, message)
-        before = interface.dropped
-        interface.receive(message, link)
-        if interface.dropped != before:
-            count.drops += interface.dropped - before
 
     async def traffic(self, _: CountTraffic) -> Traffic:
         """Return the traffic of each interface."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 from autobahn.asyncio.websocket import WebSocketServerProtocol
@@ -21,7 +21,7 @@ from rce.errors import RceError
 from rce.net.flight import Flight, flight_of
 from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
-from rce.net.writer import Writer
+from rce.net.writer import Passes, Writer
 from rce.protocol.blobs import BinaryFrame, Buffer
 
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
@@ -40,21 +40,29 @@ def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
 
 
+def _framed(piece: Piece) -> Sequence[Buffer]:
+    if len(piece) == 1:
+        return framed(piece[0])
+    return [part for frame in piece for part in framed(frame)]
+
+
 class ClientSocket(WebSocketServerProtocol):
     """WebSocket of one client: a robot, or a client of a gateway."""
 
     send_queue: Any = ()  # in place of Autobahn's, once the socket is open: nothing is sent in chops
 
-    def __init__(self, turns: Turns, choose: Choose, pending: PendingLogin) -> None:
+    def __init__(self, turns: Turns, passes: Passes, choose: Choose, pending: PendingLogin) -> None:
         """Create the socket of a new connection.
 
         Args:
             turns: Turns of users at the event loop.
+            passes: Passes of the event loop, in which small messages are written together.
             choose: Returns the client for the path of the request.
             pending: Counts the connection until it is logged in.
         """
         super().__init__()
         self._turns = turns
+        self._passes = passes
         self._choose = choose
         self._pending = pending
         self._request_waits = False  # for its turn
@@ -133,7 +141,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
-        self._writer = Writer(self.transport)
+        self._writer = Writer(self.transport, self._passes)
         self._flight = flight_of(self.transport.get_extra_info("socket"))
         self._client.opened(self)
 
@@ -162,8 +170,12 @@ class ClientSocket(WebSocketServerProtocol):
         self._data_received = True
         if self.state == self.STATE_CONNECTING:
             self._receive_request(data)
-        else:
-            self._contain(self._receive, data)
+            return
+        if data:  # a view, because the parser slices it for every frame
+            self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
+            if self._turns.busy(self._user):
+                self._wait_for_turn()
+        self.consumeData()
 
     def _receive_request(self, data: bytes) -> None:
         """Receive a part of the opening request, or of the first messages, which wait for the end of the login.
@@ -181,22 +193,7 @@ class ClientSocket(WebSocketServerProtocol):
     def _read_request(self) -> None:
         self._request_waits = False
         if not self._gone:
-            self._contain(self._dataReceived, b"")
-
-    def _receive(self, data: bytes) -> None:
-        if data:  # a view, because the parser slices it for every frame
-            self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
-            if self._turns.busy(self._user):
-                self._wait_for_turn()
-        self.consumeData()
-
-    def _contain(self, read: Callable[[bytes], None], data: bytes) -> None:
-        """Read data; a defect closes this socket only, as in Autobahn's adapter."""
-        try:
-            read(data)
-        except Exception:  # noqa: BLE001  # it is logged
-            log.failure("defect while reading from {peer}", peer=self.peer)
-            self.dropConnection(abort=True)
+            self.consumeData()
 
     def processData(self) -> bool:
         """Process the next frame, or the received part of it; return True if there may be more."""
@@ -270,23 +267,24 @@ class ClientSocket(WebSocketServerProtocol):
         """Send the messages of a piece; return True if there is room for more."""
         if self.state != self.STATE_OPEN or self._writer is None:
             return False
-        written = True
+        buffers, written = _framed(piece), True
         if self._perMessageCompress is not None:
             for frame in piece:
                 binary = isinstance(frame, BinaryFrame)
                 self.sendMessage(bytes(frame) if isinstance(frame, Buffer) else frame.join(), binary)
         else:
-            written = self._writer.write([part for frame in piece for part in framed(frame)])
-        return not self._full and (not written or self._has_room())
+            written = self._writer.write(buffers)
+        has_room = self._has_room(sum(map(len, buffers)))
+        return not self._full and (not written or has_room)
 
     @property
     def part(self) -> int:
         """Bytes of the next part of a large message."""
         return self._flight.part
 
-    def _has_room(self) -> bool:
-        """Return whether the line has room; look again later if it has none."""
-        seconds = self._flight.wait()
+    def _has_room(self, written: int = 0) -> bool:
+        """Return whether the line has room after so many more bytes; look again later if it has none."""
+        seconds = self._flight.wait(written)
         if seconds and self._look is None:
             self._look = asyncio.get_running_loop().call_later(seconds, self._look_again)
         return not seconds
@@ -325,14 +323,21 @@ class ClientSocket(WebSocketServerProtocol):
             self.data_received(b"")
 
     def consumeData(self) -> None:
-        """Process received frames for one slice of time, then let other users have their turn."""
-        if self.state == self.STATE_CONNECTING:
-            super().consumeData()
-            return
-        end = time.monotonic() + SLICE
-        while not self._pauses and self.state != self.STATE_CLOSED and self.processData():
-            if time.monotonic() > end:
-                self._wait_for_turn()
+        """Process received frames for one slice of time, then let other users have their turn.
+
+        A defect closes this socket only, as in Autobahn's adapter.
+        """
+        try:
+            if self.state == self.STATE_CONNECTING:
+                super().consumeData()
+                return
+            end = time.monotonic() + SLICE
+            while not self._pauses and self.state != self.STATE_CLOSED and self.processData():
+                if time.monotonic() > end:
+                    self._wait_for_turn()
+        except Exception:  # noqa: BLE001  # it is logged
+            log.failure("defect while reading from {peer}", peer=self.peer)
+            self.dropConnection(abort=True)
 
     def _wait_for_turn(self) -> None:
         if not self._pauses and self._pause(TURN):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+from msgspec import Struct
 from websockets.speedups import apply_mask
 
 from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
@@ -31,7 +30,7 @@ class Unmasker:
         return apply_mask(data, self._mask[turn:] + self._mask[:turn])
 
 
-class Received(NamedTuple):
+class Received(Struct, frozen=True, gc=False):
     """A message at the beginning of received data, and the number of bytes that its frame has."""
 
     payload: bytes

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from time import monotonic, perf_counter
 
 import msgspec
@@ -119,13 +119,13 @@ class RobotInterface(Interface):
 
     def _too_old(self, outgoing: Outgoing) -> bool:
         """Return whether the turn of a message comes too late; count and report it if so."""
-        if not self._max_age or monotonic() <= outgoing.until:
+        if monotonic() <= outgoing.until:
             return False
         asyncio.get_running_loop().call_soon(self.evicted, 1)  # later: this runs within the robot's queue
         return True
 
     def _pieces(self, outgoing: Outgoing) -> Iterator[Piece]:
-        if self._too_old(outgoing):
+        if self._max_age and self._too_old(outgoing):
             return
         try:
             frame, blobs = outgoing.convert()
@@ -133,7 +133,8 @@ class RobotInterface(Interface):
         except RceError as error:  # later: this runs within the robot's queue, which the report enters too
             asyncio.get_running_loop().call_soon(self.undelivered, outgoing, error)
             return
-        yield from self._frames(outgoing.message, frame, blobs)
+        yield from self._divided(frame, blobs)
+        self.hops.delivered(self.id, outgoing.message)
 
     def _converted(self, outgoing: Outgoing, frame: Buffer, blobs: Mapping[str, Buffer]) -> None:
         """Queue a message that a worker has converted."""
@@ -167,13 +168,13 @@ class RobotInterface(Interface):
             )
 
     def _frames(self, message: Message, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
-        if not blobs:
-            yield [frame]
-        else:
-            yield from self._frames_with_blobs(frame, blobs)
+        yield from self._divided(frame, blobs)
         self.hops.delivered(self.id, message)
 
-    def _frames_with_blobs(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
+    def _divided(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterable[Piece]:
+        return self._with_blobs(frame, blobs) if blobs else [[frame]]
+
+    def _with_blobs(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         parts = self.session.parts
         frames = binary_frames(blobs, parts, self.session.part)
         if not parts or sum(map(len, blobs.values())) <= self.session.part():

@@ -17,6 +17,7 @@ from endpoints.robot.client import Choose
 from endpoints.robot.client_socket import ClientSocket
 from endpoints.robot.framing import Unmasker
 from rce.net.pending_logins import PendingLogin
+from rce.net.writer import Passes
 
 
 def _skip_format(_: object) -> str:
@@ -44,6 +45,7 @@ class SocketFactory(WebSocketServerFactory):
         txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
         super().__init__(server="RCE", loop=loop)
         self._turns = turns
+        self._passes = Passes()
         self._choose = choose
         self.setProtocolOptions(
             maxMessagePayloadSize=limit,
@@ -62,6 +64,6 @@ class SocketFactory(WebSocketServerFactory):
 
     def make(self, pending: PendingLogin) -> ClientSocket:
         """Return the protocol of a new connection."""
-        socket = self._kind(self._turns, self._choose, pending)
+        socket = self._kind(self._turns, self._passes, self._choose, pending)
         socket.factory = self  # type: ignore[attr-defined]  # as the base class does
         return socket

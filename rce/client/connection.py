@@ -239,7 +239,9 @@ class Connection:
             self._has_piece.clear()
             try:
                 await self._socket.send(self._piece.payload, text=self._piece.text)
-                while seconds := self._flight.wait():  # noqa: ASYNC110  # the kernel does not tell when there is room
+                written = len(self._piece.payload)
+                while seconds := self._flight.wait(written):  # the kernel does not tell when there is room
+                    written = 0
                     await asyncio.sleep(seconds)
                 self._outbox.resume()
             except ConnectionClosed:

@@ -10,6 +10,7 @@ messages overtake large ones. Where the kernel gives no measurements, nothing is
 from __future__ import annotations
 
 import ipaddress
+import math
 import socket
 import struct
 import time
@@ -88,6 +89,7 @@ class Flight:
         """Hold back what `read`, which returns the state of the connection, shows to be too much."""
         self._read = read
         self._now = now
+        self._room = 0.0  # bytes that may be written before the next look at the connection
         self._rates: list[tuple[float, float]] = []  # time and rate, of which each is less than the one before
         self.part = MOST_PART
         self._acknowledged = 0
@@ -105,18 +107,29 @@ class Flight:
             return False
         return now - self._progress > STALLED + STALLED_TRIPS * sample.round_trip
 
-    def wait(self) -> float:
-        """Return 0 if more may be written, else the seconds until the next look; `part` has the size of parts."""
+    def wait(self, written: int = 0) -> float:
+        """Return 0 if more may be written, else the seconds until the next call; `part` has the size of parts.
+
+        Small messages that fit into the room of the last measurement cost no system call.
+
+        Args:
+            written: Bytes that were written since the last call.
+        """
+        self._room -= written
+        if self._room > 0:
+            return 0.0
         sample = self._read()
         if sample is None:
+            self._room = math.inf
             return 0.0
         rate = self._greatest(sample.rate)
         if not rate:
-            return 0.0 if sample.in_flight + sample.unsent < UNKNOWN else SHORTEST_WAIT
+            self._room = UNKNOWN - sample.in_flight - sample.unsent
+            return 0.0 if self._room > 0 else SHORTEST_WAIT
         self.part = min(MOST_PART, max(LEAST_PART, int(rate * PART_TIME)))
         limit = rate * max(GAIN * sample.round_trip, sample.round_trip + QUEUE)
-        excess = max(sample.in_flight - max(limit, LEAST), sample.unsent - self.part)
-        return 0.0 if excess < 0 else min(LONGEST_WAIT, max(SHORTEST_WAIT, excess / rate))
+        self._room = min(max(limit, LEAST) - sample.in_flight, self.part - sample.unsent)
+        return 0.0 if self._room > 0 else min(LONGEST_WAIT, max(SHORTEST_WAIT, -self._room / rate))
 
     def _greatest(self, rate: float) -> float:
         """Return the greatest rate of the last seconds, with a new one."""

@@ -165,9 +165,10 @@ class Outbox(Generic[P]):
         Returns:
             The number of older messages of the source that were dropped.
         """
-        begun = self.idle
+        begun = self._open and not self._queues
         if begun and self._write_all(pieces):
-            self._pump()  # what was put meanwhile
+            if self._queues:  # filled meanwhile
+                self._pump()
             return 0
         queue = self._queues.get(source)
         if queue is None:

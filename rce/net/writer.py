@@ -16,31 +16,65 @@ SMALL = 4 * 1024  # bytes of a write that waits for others
 MOST = 16 * 1024  # bytes that wait
 
 
+class Passes:
+    """Passes of an event loop in which its writers write; they share one object.
+
+    Attributes:
+        number: Number of the pass in progress.
+    """
+
+    def __init__(self) -> None:
+        self.number = 1
+        self._waiting: list[Writer] = []
+        self._ends = False  # this pass was used, so another number follows
+
+    def use(self) -> int:
+        """Return the number of this pass, which the next one will not have."""
+        if not self._ends:
+            self._ends = True
+            asyncio.get_running_loop().call_soon(self._next)
+        return self.number
+
+    def flush_in_next(self, writer: Writer) -> None:
+        """Flush a writer at the beginning of the next pass."""
+        self._waiting.append(writer)
+
+    def _next(self) -> None:
+        self.number += 1
+        self._ends = False
+        waiting, self._waiting = self._waiting, []
+        for writer in waiting:
+            writer.flush_in_pass()
+
+
 class Writer:
     """Writer of one transport."""
 
-    __slots__ = ("_size", "_transport", "_waiting", "_written")
+    __slots__ = ("_last", "_passes", "_size", "_transport", "_waiting")
 
-    def __init__(self, transport: asyncio.WriteTransport) -> None:
+    def __init__(self, transport: asyncio.WriteTransport, passes: Passes) -> None:
         self._transport = transport
+        self._passes = passes
         self._waiting: list[Buffer] = []
         self._size = 0
-        self._written = False  # a small write has gone out in this pass of the loop
+        self._last = 0  # number of the last pass in which a small write has gone out
 
     def write(self, buffers: Sequence[Buffer]) -> bool:
         """Write buffers one after the other; return False if they wait for the next pass."""
         size = sum(map(len, buffers))
-        if size < SMALL and self._written:
+        if size < SMALL and self._last == self._passes.number:
+            if not self._waiting:
+                self._passes.flush_in_next(self)
             self._waiting += buffers
             self._size += size
             if self._size >= MOST:
                 self.flush()
             return not self._waiting
-        self.flush()
+        if self._waiting:
+            self.flush()
         self._transport.writelines(buffers)
         if size < SMALL:
-            self._written = True
-            asyncio.get_running_loop().call_soon(self._next_pass)
+            self._last = self._passes.use()
         return True
 
     def flush(self) -> None:
@@ -49,8 +83,8 @@ class Writer:
         if waiting and not self._transport.is_closing():
             self._transport.writelines(waiting)
 
-    def _next_pass(self) -> None:
-        self._written = bool(self._waiting)
-        if self._written:
-            asyncio.get_running_loop().call_soon(self._next_pass)
+    def flush_in_pass(self) -> None:
+        """Write what waits; small writes that follow in this pass wait for the next one."""
+        if self._waiting:
+            self._last = self._passes.use()
             self.flush()

@@ -6,6 +6,7 @@ import io
 import json
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -140,7 +141,7 @@ def test_images_in_nested_messages_become_blobs(registry: TypeRegistry) -> None:
     assert rig.encode(wire) == plain.encode(wire) == cdr
     assert json.loads(bytes(plain.decode(cdr).raw)) == value
     with pytest.raises(ConversionError) as caught:
-        rig.encode(wire._replace(blobs={**wire.blobs, found["others*"][1]: b"?"}))
+        rig.encode(msgspec.structs.replace(wire, blobs={**wire.blobs, found["others*"][1]: b"?"}))
     assert caught.value.field == "others*"
 
 

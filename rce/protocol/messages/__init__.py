@@ -37,9 +37,11 @@ from rce.protocol.messages.commands import RemoveRecorder as RemoveRecorder
 from rce.protocol.messages.commands import SetParameter as SetParameter
 from rce.protocol.messages.commands import UseService as UseService
 from rce.protocol.messages.data import MAX_MSG_ID as MAX_MSG_ID
+from rce.protocol.messages.data import DataFrame as DataFrame
 from rce.protocol.messages.data import DataMessage as DataMessage
 from rce.protocol.messages.data import GoalStatus as GoalStatus
 from rce.protocol.messages.data import Phase as Phase
+from rce.protocol.messages.data import decode_data_frame as decode_data_frame
 from rce.protocol.messages.frames import CURRENT_VERSION as CURRENT_VERSION
 from rce.protocol.messages.frames import FEATURES as FEATURES
 from rce.protocol.messages.frames import MINIMAL_VERSION as MINIMAL_VERSION

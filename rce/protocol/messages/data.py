@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
+from rce.protocol.messages.frames import FrameId
+
 MAX_MSG_ID = 255
 MAX_STREAM = 64  # characters
 
@@ -38,3 +40,26 @@ class DataMessage(Struct, frozen=True, omit_defaults=True):
     ifLost: Literal["leave", "cancel"] = "leave"
     stream: Annotated[str, Meta(max_length=MAX_STREAM)] = ""
     number: Annotated[int, Meta(ge=0)] = 0
+
+
+class DataFrame(Struct, frozen=True):
+    """Text frame with a data message."""
+
+    type: Literal["DM"]
+    data: DataMessage
+    id: FrameId | UnsetType = UNSET
+
+
+_data_frame = msgspec.json.Decoder(DataFrame)
+
+
+def decode_data_frame(payload: bytes) -> DataFrame | None:
+    """Decode a text frame with a data message at once, which takes less time than its envelope and its data.
+
+    Returns:
+        None for all other frames, and for malformed ones: `decode_frame` and `decode_as` report what is wrong.
+    """
+    try:
+        return _data_frame.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None

@@ -184,7 +184,7 @@ async def test_opening_requests_that_come_at_once_take_turns(
         passes[0] += 1
         loop.call_soon(count)
 
-    monkeypatch.setattr(client_socket.ClientSocket, "_dataReceived", lambda socket, data: read.append(passes[0]))
+    monkeypatch.setattr(client_socket.ClientSocket, "consumeData", lambda socket: read.append(passes[0]))
     writers = [(await asyncio.open_connection("127.0.0.1", platform.port))[1] for _ in range(5)]
     await eventually(lambda: len(platform.server.pending) == 5)
     count()

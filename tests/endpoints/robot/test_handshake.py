@@ -18,6 +18,7 @@ from endpoints.robot.endpoint import LoginResult
 from endpoints.robot.handshake import LoginRequest
 from master.access.throttle import Throttle
 from rce.net.pending_logins import PendingLogin
+from rce.net.writer import Passes
 from tests.support.endpoints.platforms import Platform
 from tests.support.endpoints.raw_robot import LOGIN_QUERY, PASSWORD, USER, WAIT, WEBSOCKET_HEADERS, eventually
 from tests.support.fuzz.robot_frames import frame
@@ -116,7 +117,9 @@ async def test_api_key_is_accepted_for_its_user_only(platform: Platform) -> None
 async def test_refused_connection_that_is_lost_is_not_opened(platform: Platform) -> None:
     """Autobahn would open it, close it with the code, and fail to drop it a second later."""
     endpoint = platform.endpoint
-    socket = ClientSocket(endpoint.switchboard.turns, lambda _: RobotClient(endpoint), PendingLogin(Counter(), ""))
+    socket = ClientSocket(
+        endpoint.switchboard.turns, Passes(), lambda _: RobotClient(endpoint), PendingLogin(Counter(), "")
+    )
     socket.transport = None
     request = ConnectionRequest("tcp4:x", {}, "", "/", {"refuse": ["close"]}, 13, "", [], [])
     with pytest.raises(ConnectionDeny):

@@ -111,10 +111,10 @@ async def test_message_whose_sender_is_gone_is_not_converted() -> None:
 async def test_pictures_are_converted_and_refused_in_a_process(real: Workers) -> None:
     png = cv2.imencode(".png", np.zeros((3, 4), np.uint8))[1].tobytes()
     cdr = await real.encode("a", IMAGE, Wire(True, f'"{ID}"'.encode(), {ID: png}))
-    is_blob, raw, blobs = await real.decode("a", IMAGE, cdr)
-    assert is_blob
-    assert [bytes(memoryview(raw)).decode().strip('"')] == list(blobs)
-    assert [bytes(blob[:4]) for blob in blobs.values()] == [b"\x89PNG"]
+    wire = await real.decode("a", IMAGE, cdr)
+    assert wire.is_blob
+    assert [bytes(memoryview(wire.raw)).decode().strip('"')] == list(wire.blobs)
+    assert [bytes(blob[:4]) for blob in wire.blobs.values()] == [b"\x89PNG"]
     with pytest.raises(ConversionError, match="neither PNG nor JPEG"):
         await real.encode("a", IMAGE, Wire(True, f'"{ID}"'.encode(), {ID: b"?"}))
 

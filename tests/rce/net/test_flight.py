@@ -20,6 +20,8 @@ from rce.net.flight import (
     flight_of,
 )
 
+MANY = 10**9  # bytes, after which the line is measured again
+
 
 class Line:
     """Line whose measurements are set by the test."""
@@ -38,34 +40,34 @@ def test_more_may_be_written_until_the_line_carries_a_round_trip_and_a_queue() -
     line = Line(0, round_trip=0.05, rate=1_000_000)
     limit = int(1_000_000 * (0.05 + QUEUE))
     line.set(in_flight=limit - 1)
-    assert line.flight.wait() == 0
+    assert line.flight.wait(MANY) == 0
     line.set(in_flight=limit)
-    assert line.flight.wait() > 0
+    assert line.flight.wait(MANY) > 0
 
 
 def test_greatest_rate_of_the_last_seconds_counts() -> None:
     line = Line(0, round_trip=0.05, rate=1_000_000)
-    line.flight.wait()
+    line.flight.wait(MANY)
     line.set(in_flight=50_000, rate=10_000)
     line.now = WINDOW
-    assert line.flight.wait() == 0
+    assert line.flight.wait(MANY) == 0
     line.now = 2 * WINDOW
-    assert line.flight.wait() > 0
+    assert line.flight.wait(MANY) > 0
 
 
 def test_no_more_than_a_part_waits_in_the_kernel() -> None:
     line = Line(0, round_trip=0.05, rate=2_000_000)
     line.set(unsent=19_999)
-    assert line.flight.wait() == 0
+    assert line.flight.wait(MANY) == 0
     line.set(unsent=20_000)
-    assert line.flight.wait() > 0
+    assert line.flight.wait(MANY) > 0
 
 
 def test_line_of_unknown_rate_gets_some_bytes() -> None:
     line = Line(UNKNOWN - 1, 0.0, 0)
-    assert line.flight.wait() == 0
+    assert line.flight.wait(MANY) == 0
     line.set(in_flight=UNKNOWN)
-    assert line.flight.wait() > 0
+    assert line.flight.wait(MANY) > 0
 
 
 @pytest.mark.parametrize(
@@ -73,14 +75,14 @@ def test_line_of_unknown_rate_gets_some_bytes() -> None:
 )
 def test_parts_take_about_10_ms_of_the_line(rate: float, part: int) -> None:
     line = Line(0, 0.05, rate)
-    line.flight.wait()
+    line.flight.wait(MANY)
     assert line.flight.part == part
 
 
 def test_nothing_is_held_back_without_measurements() -> None:
     line = Line(10**9, 0.05, 1000)
     line.sample = None
-    assert line.flight.wait() == 0
+    assert line.flight.wait(MANY) == 0
     assert line.flight.part == MOST_PART
 
 
@@ -118,3 +120,13 @@ def test_idle_line_is_not_stalled() -> None:
         assert not line.flight.stalled()
     line.set(outstanding=True)
     assert not line.flight.stalled(), "what was sent just now is not late"
+
+
+def test_small_messages_are_written_without_a_measurement_for_each() -> None:
+    line = Line(0, 0.05, 1_000_000)
+    assert line.flight.wait(1000) == 0
+    line.set(in_flight=10**6)
+    assert line.flight.wait(LEAST_PART - 1) == 0
+    assert line.flight.wait(MOST_PART) > 0
+    line.set(in_flight=0)
+    assert line.flight.wait() == 0, "measured again while there is no room"

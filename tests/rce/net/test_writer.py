@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from rce.net.writer import MOST, SMALL, Writer
+from rce.net.writer import MOST, SMALL, Passes, Writer
 
 
 class Transport(Mock):
@@ -35,7 +35,7 @@ async def transport() -> Transport:
 
 @pytest.fixture
 def writer(transport: Transport) -> Writer:
-    return Writer(transport)
+    return Writer(transport, Passes())
 
 
 async def test_small_writes_of_one_pass_are_joined_after_the_first(transport: Transport, writer: Writer) -> None:
@@ -96,3 +96,20 @@ async def test_nothing_is_written_to_a_closed_transport(transport: Transport, wr
     transport.closing = True
     await asyncio.sleep(0)
     assert transport.writes == [b"one"]
+
+
+async def test_writers_of_one_loop_are_joined_each_by_itself(transport: Transport) -> None:
+    passes, other = Passes(), Transport(writes=[])
+    one, two = Writer(transport, passes), Writer(other, passes)
+    for writer in (one, one, two, two):
+        writer.write([b"x"])
+    assert transport.writes == other.writes == [b"x"]
+    await asyncio.sleep(0)
+    assert transport.writes == other.writes == [b"x", b"x"]
+    one.write([b"y"])  # in the pass in which the others went out
+    await asyncio.sleep(0)
+    one.write([b"z"])
+    assert transport.writes == [b"x", b"x", b"y"]
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert one.write([b"last"]), "nothing was written in this pass"
