@@ -228,7 +228,10 @@ class FrameReader:
             if phase >= len(_PHASES):
                 raise LimitExceeded("a data link sent a message of an unknown phase")
             error, numbered = bool(flags & ERROR), bool(flags & NUMBERED)
-            message = Message(source, name, b"", destination, error, _PHASES[phase], numbered, senders)
+            sender = source
+            if len(senders) == 1:  # as `by_sender` would return it
+                (sender,), senders = senders, ()
+            message = Message(sender, name, b"", destination, error, _PHASES[phase], numbered, senders, source)
             if size == total and self._have - body >= size:
                 message.payload = bytes(self._view[body : body + size])
                 done.append(message)

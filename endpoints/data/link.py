@@ -21,6 +21,7 @@ from rce.net.sockets import tune
 
 STRAYS = 1000  # messages a second without a receiver that a link may send for long, and 16 times as many at once
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
+GATHERED = 4 * 1024  # bytes of a write that others may join
 CLOSED = "closed by the other side"
 
 log = Logger()
@@ -55,6 +56,12 @@ class Link(Protocol):
     def discard(self, source: bytes) -> None:
         """Drop the waiting messages of `source`."""
 
+    def gather(self) -> None:
+        """Keep small messages back until `flush` is called, so that one system call is enough for all of them."""
+
+    def flush(self) -> None:
+        """Send what was gathered."""
+
     def pause(self, until: asyncio.Future[None]) -> None:
         """Stop receiving until the future is done."""
 
@@ -78,6 +85,12 @@ class _QueuedLink(Generic[P]):
     def discard(self, source: bytes) -> None:
         """Drop the waiting messages of `source`."""
         self._outbox.discard(source)
+
+    def gather(self) -> None:
+        """Do nothing: messages need no system calls."""
+
+    def flush(self) -> None:
+        """Do nothing: nothing is gathered."""
 
 
 class LoopLink(_QueuedLink[Message]):
@@ -170,6 +183,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         self._streams = itertools.cycle(range(1 << 32))
         self._transport: asyncio.Transport | None = None
         self._full = False
+        self._gathered: list[Buffer] | None = None  # small writes that go out together; None while none are kept
         self._throttle = throttle
         self._strays = Throttle(STRAYS)
         self._pauses = 0  # number of futures that must be done before reading resumes
@@ -327,5 +341,22 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
 
     def _write(self, buffers: list[Buffer]) -> bool:
         assert self._transport is not None
-        self._transport.writelines(buffers)
+        if self._gathered is None:
+            self._transport.writelines(buffers)
+        elif sum(map(len, buffers)) < GATHERED:
+            self._gathered += buffers
+        else:
+            self._transport.writelines([*self._gathered, *buffers])
+            self._gathered = []
         return not self._full
+
+    def gather(self) -> None:
+        """Keep small messages back until `flush` is called, so that one system call is enough for all of them."""
+        if self._gathered is None:
+            self._gathered = []
+
+    def flush(self) -> None:
+        """Send what was gathered."""
+        gathered, self._gathered = self._gathered, None
+        if gathered and self._transport is not None and not self._transport.is_closing():
+            self._transport.writelines(gathered)

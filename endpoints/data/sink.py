@@ -33,6 +33,12 @@ class Sink:
     def discard(self, source: bytes) -> None:
         """Do nothing: nothing waits."""
 
+    def gather(self) -> None:
+        """Do nothing: messages need no system calls."""
+
+    def flush(self) -> None:
+        """Do nothing: nothing is gathered."""
+
     def pause(self, until: asyncio.Future[None]) -> None:
         """Do nothing: what uses sinks drops old messages instead of pausing links."""
 

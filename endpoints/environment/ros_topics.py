@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +17,13 @@ from endpoints.environment.ros import RosThread
 from rce.protocol.messages import Qos
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
+SMALL = 64 * 1024  # bytes of messages that are handed on together, the last one of them apart
 # Fast DDS unmatches an entity that ends before it removes it from the graph cache, in a thread of its own.
 GRAPH_DELAY = 0.2  # seconds after an event until the graph cache is right, on a busy machine too
 
 Message = Any  # an instance of a generated message class; their module is known only at run time
+Taken = tuple[bytes, bytes]
+"""A message, and the gid of its publisher."""
 Report = Callable[[str], None]
 """Reports an error to the owner of the interface; called in the ROS thread."""
 
@@ -108,14 +111,14 @@ class RawSubscription(TopicEnd):
     subscriptions = 1
 
     def __init__(
-        self, ros: RosThread, topic: Topic, taken: Callable[[bytes, bytes], bool], lost: Callable[[int], None]
+        self, ros: RosThread, topic: Topic, taken: Callable[[Sequence[Taken]], bool], lost: Callable[[int], None]
     ) -> None:
         """Create a paused subscription.
 
         Args:
             ros: The ROS thread.
             topic: The topic.
-            taken: Called with a message and the gid of its publisher; returns False to pause.
+            taken: Called with messages that came together; returns False to pause.
             lost: Called with the number of messages that the middleware dropped.
         """
         super().__init__(ros, topic)
@@ -198,18 +201,26 @@ class RawSubscription(TopicEnd):
             return
         super().take(wait_set)  # publishers first: they decide whether messages are latched
         if wait_set.is_ready("subscription", self._index):
-            self._drain(MAX_BATCH)
+            self._take_batch()
 
-    def _drain(self, most: int = -1) -> None:
-        while self._active and most:
-            found = self._next()
-            if found is None:
-                return
-            if found[0] and not self._taken(*found):
-                self._active = False
-            most -= 1
+    def _drain(self) -> None:
+        while self._active and self._take_batch():
+            pass
 
-    def _next(self) -> tuple[bytes, bytes] | None:
+    def _take_batch(self) -> bool:
+        """Take a few messages, and hand them on together; return False if there were none."""
+        batch: list[Taken] = []
+        size = count = 0
+        while count < MAX_BATCH and size < SMALL and (found := self._next()) is not None:
+            count += 1
+            if found[0]:
+                batch.append(found)
+                size += len(found[0])
+        if batch and not self._taken(batch):
+            self._active = False
+        return count > 0
+
+    def _next(self) -> Taken | None:
         """Return the next message and the gid of its publisher; None if there is none.
 
         The message is empty if this process published it, or if it was taken before.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from secrets import token_bytes, token_hex
 from time import perf_counter
 from typing import Protocol
@@ -18,7 +18,7 @@ from endpoints.data.frames import MAX_SENDERS, Buffer, Message
 from endpoints.data.link import Link
 from endpoints.environment.discovery import after_discovery
 from endpoints.environment.ros import RosThread
-from endpoints.environment.ros_topics import RawSubscription, Topic
+from endpoints.environment.ros_topics import RawSubscription, Taken, Topic
 from endpoints.environment.shared_topics import SharedTopics, topic_key
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, RceError
@@ -159,14 +159,14 @@ class SharedSubscription:
 
     # --- from ROS -----------------------------------------------------------------------------------------------------
 
-    def _take(self, payload: bytes, publisher: bytes) -> bool:
-        """Pass a message to the loop; return False to pause until the loop has caught up. Called in the ROS thread."""
-        self._taken += 1
-        self._taken_bytes += len(payload)
+    def _take(self, batch: Sequence[Taken]) -> bool:
+        """Pass messages to the loop; return False to pause until the loop has caught up. Called in the ROS thread."""
+        self._taken += len(batch)
+        self._taken_bytes += sum(len(payload) for payload, _ in batch)
         since = perf_counter()
         small = self._taken_bytes - self._handled_bytes <= SMALL
         more = self._taken - self._handled < (MAX_UNHANDLED_SMALL if small else MAX_UNHANDLED)
-        self._ros.deliver(lambda: self._handle(payload, publisher, more, since))
+        self._ros.deliver(lambda: self._handle(batch, more, since))
         return more
 
     def _lost(self, count: int) -> None:
@@ -186,9 +186,22 @@ class SharedSubscription:
     def _refuse(self, member: Member, reason: str) -> None:
         member.refused(InvalidRequest(f"interface {member.spec.tag}: {reason}"))
 
-    def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
-        self._handled += 1
-        self._handled_bytes += len(payload)
+    def _handle(self, batch: Sequence[Taken], more: bool, since: float) -> None:
+        self._handled += len(batch)
+        self._handled_bytes += sum(len(payload) for payload, _ in batch)
+        links = tuple(self._links) if len(batch) > 1 else ()
+        for link in links:
+            link.gather()
+        try:
+            for payload, publisher in batch:
+                self._handle_one(payload, publisher, since)
+        finally:
+            for link in links:
+                link.flush()
+        if not more:
+            self._resume()
+
+    def _handle_one(self, payload: bytes, publisher: bytes, since: float) -> None:
         if self.subscription.latched:
             self._keep_latched(payload, publisher)
         try:
@@ -200,8 +213,6 @@ class SharedSubscription:
             self.evicted(1)
             for member in self.members:
                 member.refused(error)
-        if not more:
-            self._resume()
 
     def _resume(self) -> None:
         """Continue to take messages as soon as the links have room."""

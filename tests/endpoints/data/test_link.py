@@ -10,8 +10,8 @@ from unittest.mock import Mock
 import pytest
 from twisted.logger import LogEvent, LogLevel, globalLogPublisher
 
-from endpoints.data.frames import Message
-from endpoints.data.link import LoopLink, StreamLink
+from endpoints.data.frames import Message, pieces
+from endpoints.data.link import GATHERED, LoopLink, StreamLink
 from endpoints.data.throttle import BURST, Throttle
 from tests.support.endpoints.ends import A, B, End, Listener
 from tests.support.endpoints.raw_robot import WAIT
@@ -82,6 +82,44 @@ async def test_paused_link_delivers_everything_after_pause(pair: tuple[End, End]
     await asyncio.wait_for(room, WAIT)
     await there.until_received(60)
     assert [m.msg_id for m in there.received] == [str(number) for number in range(60)]
+
+
+def attached() -> tuple[StreamLink, Mock]:
+    """Return a link and its transport."""
+    link, transport = End().link, Mock(is_closing=lambda: False, get_extra_info=lambda _: None)
+    link.attach(transport)
+    return link, transport
+
+
+def test_small_messages_are_gathered_and_large_ones_take_them_along(hand: HandTurnedLoop) -> None:
+    link, transport = hand.do(attached)
+    written: list[int] = []
+    transport.writelines = lambda buffers: written.append(sum(map(len, buffers)))
+
+    def send(size: int) -> int:
+        message = Message(A, "m", bytes(size))
+        link.send(message, None)
+        return sum(len(buffer) for piece in pieces(message, 0) for buffer in piece)
+
+    link.gather()
+    small = send(10) + send(20)
+    assert written == []
+    large = send(GATHERED)
+    assert written == [small + large]
+    last = send(30)
+    link.flush()
+    assert written == [small + large, last]
+    alone = send(40)
+    assert written == [small + large, last, alone]
+
+
+def test_gathered_messages_of_a_lost_link_are_not_written(hand: HandTurnedLoop) -> None:
+    link, transport = hand.do(attached)
+    link.gather()
+    link.send(Message(A, "m", b"x"), None)
+    hand.do(lambda: link.connection_lost(None))
+    link.flush()
+    transport.writelines.assert_not_called()
 
 
 async def test_links_of_sender_share_its_rate_limit(port: tuple[Listener, list[str]]) -> None:

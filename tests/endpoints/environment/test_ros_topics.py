@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import pytest
 
@@ -15,7 +16,7 @@ from rclpy.context import Context  # noqa: E402  # after importorskip
 from std_msgs.msg import String  # noqa: E402
 
 from endpoints.environment.ros import RosThread  # noqa: E402
-from endpoints.environment.ros_topics import RawSubscription, Topic  # noqa: E402
+from endpoints.environment.ros_topics import RawSubscription, Taken, Topic  # noqa: E402
 from rce.protocol.messages import Qos  # noqa: E402
 
 MAX_TURNS = 50
@@ -40,8 +41,9 @@ async def test_messages_left_in_middleware_do_not_wake_thread(monkeypatch: pytes
     await ros.start()
     received: asyncio.Queue[bytes] = asyncio.Queue()
 
-    def take(payload: bytes, publisher: bytes) -> bool:
-        ros.deliver(lambda: received.put_nowait(payload))
+    def take(batch: Sequence[Taken]) -> bool:
+        for payload, _ in batch:
+            ros.deliver(partial(received.put_nowait, payload))
         return True
 
     try:

@@ -46,13 +46,24 @@ class Line:
         self.sent: list[Message] = []
         self.drops = drops
         self.discarded: list[bytes] = []
+        self.gathering = False
+        self.together: list[int] = []
 
     def send(self, message: Message, keep: int | None, owner: object) -> int:
         self.sent.append(message)
+        if self.gathering:
+            self.together[-1] += 1
         return self.drops
 
     def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
         return None
+
+    def gather(self) -> None:
+        self.gathering = True
+        self.together.append(0)
+
+    def flush(self) -> None:
+        self.gathering = False
 
     def discard(self, source: bytes) -> None:
         self.discarded.append(source)
@@ -86,7 +97,7 @@ def connect(interface: SubscriberInterface, peer: int, line: Line) -> None:
 
 
 def publish(shared: SharedSubscription, payload: bytes, publisher: bytes = b"p") -> None:
-    shared._take(payload, publisher)
+    shared._take([(payload, publisher)])
 
 
 async def test_more_small_messages_than_large_ones_wait_for_the_loop() -> None:
@@ -95,10 +106,31 @@ async def test_more_small_messages_than_large_ones_wait_for_the_loop() -> None:
         shared = (await bench.interface(1))._subscription
         delivered = list[Callable[[], None]]()
         bench.ros.deliver = delivered.append
-        assert [shared._take(bytes(size), b"p") for _ in range(most)] == [True] * (most - 1) + [False]
+        assert [shared._take([(bytes(size), b"p")]) for _ in range(most)] == [True] * (most - 1) + [False]
         for handle in delivered:
             handle()
-        assert shared._take(bytes(size), b"p"), "the loop has caught up"
+        assert shared._take([(bytes(size), b"p")]), "the loop has caught up"
+
+
+async def test_messages_that_came_together_go_out_together() -> None:
+    bench, line = Bench(), Line()
+    interface = await bench.interface(1)
+    connect(interface, 1, line)
+    interface._subscription._take([(b"x", b"p"), (b"y", b"p"), (b"z", b"p")])
+    publish(interface._subscription, b"alone")
+    assert [each.payload for each in line.sent] == [b"x", b"y", b"z", b"alone"]
+    assert line.together == [3]
+    assert not line.gathering
+
+
+async def test_link_is_flushed_after_a_defect() -> None:
+    bench, line = Bench(), Line()
+    interface = await bench.interface(1)
+    connect(interface, 1, line)
+    line.send = Mock(side_effect=ZeroDivisionError)  # type: ignore[method-assign]
+    with pytest.raises(ZeroDivisionError):
+        interface._subscription._take([(b"x", b"p"), (b"y", b"p")])
+    assert not line.gathering
 
 
 async def test_message_goes_once_to_each_link_with_all_senders_behind_it() -> None:
