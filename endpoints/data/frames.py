@@ -230,7 +230,7 @@ class FrameReader:
             error, numbered = bool(flags & ERROR), bool(flags & NUMBERED)
             sender = source
             if len(senders) == 1:  # as `by_sender` would return it
-                (sender,), senders = senders, ()
+                sender, senders = senders[0], ()
             message = Message(sender, name, b"", destination, error, _PHASES[phase], numbered, senders, source)
             if size == total and self._have - body >= size:
                 message.payload = bytes(self._view[body : body + size])

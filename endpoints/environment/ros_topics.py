@@ -17,7 +17,7 @@ from endpoints.environment.ros import RosThread
 from rce.protocol.messages import Qos
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
-SMALL = 64 * 1024  # bytes of messages that are handed on together, the last one of them apart
+MAX_BATCH_BYTES = 64 * 1024  # a message with which they are reached is the last of its batch
 # Fast DDS unmatches an entity that ends before it removes it from the graph cache, in a thread of its own.
 GRAPH_DELAY = 0.2  # seconds after an event until the graph cache is right, on a busy machine too
 
@@ -211,7 +211,7 @@ class RawSubscription(TopicEnd):
         """Take a few messages, and hand them on together; return False if there were none."""
         batch: list[Taken] = []
         size = count = 0
-        while count < MAX_BATCH and size < SMALL and (found := self._next()) is not None:
+        while count < MAX_BATCH and size < MAX_BATCH_BYTES and (found := self._next()) is not None:
             count += 1
             if found[0]:
                 batch.append(found)

@@ -29,7 +29,7 @@ class Passes:
         self._ends = False  # this pass was used, so another number follows
 
     def use(self) -> int:
-        """Return the number of this pass, which the next one will not have."""
+        """Return the number of this pass; the next pass has another one."""
         if not self._ends:
             self._ends = True
             asyncio.get_running_loop().call_soon(self._next)
