@@ -32,8 +32,8 @@ LITTLE_ENDIAN = b"\x00\x01"
 HEADER = LITTLE_ENDIAN + b"\x00\x00"  # encapsulation header: plain CDR, XCDR version 1, no options
 # Bytes that are converted within a few milliseconds, by the finest parts that a type has many of.
 FAST_TEXT, FAST_NUMBERS, FAST_PARTS = 1 << 20, 1 << 17, 1 << 15
-_NO_BLOBS = Incoming({})
 BLOB_WEIGHT = 8  # bytes of a blob, which are copied only, that take as long as one byte of text
+_NO_BLOBS = Incoming({})  # of all messages without blobs: it never changes
 
 
 class Recipe(msgspec.Struct, frozen=True):

@@ -119,13 +119,13 @@ class RobotInterface(Interface):
 
     def _too_old(self, outgoing: Outgoing) -> bool:
         """Return whether the turn of a message comes too late; count and report it if so."""
-        if monotonic() <= outgoing.until:
+        if not self._max_age or monotonic() <= outgoing.until:
             return False
         asyncio.get_running_loop().call_soon(self.evicted, 1)  # later: this runs within the robot's queue
         return True
 
     def _pieces(self, outgoing: Outgoing) -> Iterator[Piece]:
-        if self._max_age and self._too_old(outgoing):
+        if self._too_old(outgoing):
             return
         try:
             frame, blobs = outgoing.convert()

@@ -9,7 +9,6 @@ and rises while it does not, in steps; receivers on the same step share an encod
 from __future__ import annotations
 
 import asyncio
-import math
 import uuid
 from dataclasses import replace
 from time import monotonic
@@ -220,7 +219,7 @@ class VideoPublisher(Publisher):
             self._encoder.request_key()
 
     def _put_packet(self, message: Message, wire: Wire) -> None:
-        until = monotonic() + self._max_age if self._max_age else math.inf
+        until = monotonic() + self._max_age
         outgoing = Outgoing(self._codec(), self._head + b'"nil"', message, WAITING + 1, until)
         frame, blobs = outgoing.frame(wire)
         size = len(frame) + sum(map(len, blobs.values())) + OVERHEAD

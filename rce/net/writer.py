@@ -17,7 +17,7 @@ MOST = 16 * 1024  # bytes that wait
 
 
 class Passes:
-    """Passes of an event loop in which its writers write; they share one object.
+    """Counter of the passes of an event loop, which all writers of the loop share.
 
     Attributes:
         number: Number of the pass in progress.
@@ -26,22 +26,22 @@ class Passes:
     def __init__(self) -> None:
         self.number = 1
         self._waiting: list[Writer] = []
-        self._ends = False  # this pass was used, so another number follows
+        self._used = False  # a writer has asked for the number of this pass
 
     def use(self) -> int:
-        """Return the number of this pass; the next pass has another one."""
-        if not self._ends:
-            self._ends = True
+        """Return the number of this pass, and count on in the next one."""
+        if not self._used:
+            self._used = True
             asyncio.get_running_loop().call_soon(self._next)
         return self.number
 
     def flush_in_next(self, writer: Writer) -> None:
-        """Flush a writer at the beginning of the next pass."""
+        """Flush a writer in the next pass. It has written in this one, so the next one is counted."""
         self._waiting.append(writer)
 
     def _next(self) -> None:
         self.number += 1
-        self._ends = False
+        self._used = False
         waiting, self._waiting = self._waiting, []
         for writer in waiting:
             writer.flush_in_pass()

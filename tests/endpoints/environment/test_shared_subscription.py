@@ -123,11 +123,11 @@ async def test_messages_that_came_together_go_out_together() -> None:
     assert not line.gathering
 
 
-async def test_link_is_flushed_after_a_defect() -> None:
+async def test_link_is_flushed_after_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     bench, line = Bench(), Line()
     interface = await bench.interface(1)
     connect(interface, 1, line)
-    line.send = Mock(side_effect=ZeroDivisionError)  # type: ignore[method-assign]
+    monkeypatch.setattr(line, "send", Mock(side_effect=ZeroDivisionError))
     with pytest.raises(ZeroDivisionError):
         interface._subscription._take([(b"x", b"p"), (b"y", b"p")])
     assert not line.gathering
