@@ -27,12 +27,12 @@ async def env(platform: RealPlatform, tmp_path: Path) -> AsyncIterator[dict[str,
 
 
 async def test_terminal_has_size_ctrl_c_and_exit_status(env: dict[str, str], platform: RealPlatform) -> None:
-    await asyncio.to_thread(_use_shell, env)
+    await asyncio.to_thread(_use_shell, env, platform)
     await until(lambda: not platform.pid("rce_shell"), what="the node ends with its client")
     assert "status 3" in await rce("env", "shell", BRAIN, "echo status 3; exit 3", env=env, status=3)
 
 
-def _use_shell(env: dict[str, str]) -> None:
+def _use_shell(env: dict[str, str], platform: RealPlatform) -> None:
     """Type each line after the prompt: one that is typed earlier is echoed twice, by the terminal and by bash."""
     with on_terminal("env", "shell", BRAIN, env=env) as shell:
         shell.expect("[#$] ")
@@ -48,7 +48,8 @@ def _use_shell(env: dict[str, str]) -> None:
         shell.expect("ready_")
         shell.type("sleep 1000\r")
         shell.expect("sleep 1000")
-        shell.type("\x03")  # the status is 130 whether the shell or the program gets it
+        _wait_for_program("sleep 1000", platform)
+        shell.type("\x03")
         shell.expect("ready_")
         shell.type("echo status $?\r")
         shell.expect("status 130")
@@ -61,16 +62,25 @@ def _use_shell(env: dict[str, str]) -> None:
         assert shell.wait() == 7
 
 
+def _wait_for_program(command: str, platform: RealPlatform) -> None:
+    """Wait until the program has the terminal.
+
+    The echo of its command comes earlier. A Ctrl-C between the fork and the program's turn in the foreground reaches
+    bash alone, which goes on waiting for the program.
+    """
+    end = time.monotonic() + 60
+    while not platform.pid(command):
+        assert time.monotonic() < end, f"{command} does not run"
+        time.sleep(0.1)
+
+
 async def test_program_ends_after_its_client_is_killed(env: dict[str, str], platform: RealPlatform) -> None:
     def vanish() -> None:
         with on_terminal("env", "shell", BRAIN, env=env) as shell:
             shell.expect("[#$] ")
             shell.type("sleep 1234\r")
             shell.expect("sleep 1234")
-            end = time.monotonic() + 60
-            while not platform.pid("sleep 1234"):  # the echo comes before the program runs
-                assert time.monotonic() < end, "the program does not run"
-                time.sleep(0.1)
+            _wait_for_program("sleep 1234", platform)
         # on_terminal has killed the client
 
     await asyncio.to_thread(vanish)
