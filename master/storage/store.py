@@ -40,6 +40,12 @@ PATIENCE = 5.0  # seconds
 FAILURES = (sa.exc.SQLAlchemyError, DiskFull, Unavailable)  # what a database raises that does not work
 MAX_TOGETHER = 100  # pieces of work in one transaction
 RETRY_INTERVAL = 0.2  # seconds until a transaction runs again whose connection was lost, for PATIENCE
+# Made once, since SQLAlchemy takes longer to make a statement than a database to execute it. Both databases know _PUT.
+_REMOVE = records.delete().where(records.c.kind == sa.bindparam("kind"), records.c.key == sa.bindparam("key"))
+_PUT = sa.text(
+    "INSERT INTO records (kind, key, value) VALUES (:kind, :key, :value)"
+    " ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value"
+)
 R = TypeVar("R")
 Outcome = tuple[Any, Exception | None]
 
@@ -330,13 +336,12 @@ def _settle(done: Future[Any], outcome: Outcome) -> None:
 
 
 def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
-    keys = [{"k": kind, "n": key} for kind, key in rows]
-    connection.execute(
-        records.delete().where(records.c.kind == sa.bindparam("k"), records.c.key == sa.bindparam("n")), keys
-    )
-    fresh = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
-    if fresh:
-        connection.execute(records.insert(), fresh)
+    gone = [{"kind": kind, "key": key} for (kind, key), value in rows.items() if value is None]
+    if gone:
+        connection.execute(_REMOVE, gone)
+    present = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
+    if present:
+        connection.execute(_PUT, present)
 
 
 def _is_full(error: sa.exc.OperationalError) -> bool:
@@ -354,7 +359,7 @@ def _make_private(file: Path) -> None:
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:
-    connection.exec_driver_sql("BEGIN")
+    connection.connection.cursor().execute("BEGIN")
 
 
 def _tune_sqlite(connection: Any, _: object) -> None:
