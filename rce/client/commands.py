@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -43,10 +44,14 @@ def frame_of(command: Command) -> dict[str, Any]:
 
 def fields_of(command: Command) -> dict[str, Any]:
     """Return the JSON object of a command, without the fields that have their default value."""
-    values = (
-        (each.encode_name, getattr(command, each.name), _default(each)) for each in msgspec.structs.fields(command)
-    )
+    values = ((encoded, getattr(command, name), default) for encoded, name, default in _fields(type(command)))
     return {name: msgspec.to_builtins(value) for name, value, default in values if value != default}
+
+
+@cache
+def _fields(kind: type[Command]) -> list[tuple[str, str, Any]]:
+    """Return the fields of a kind: name in JSON, name, default. msgspec resolves their annotations at each request."""
+    return [(each.encode_name, each.name, _default(each)) for each in msgspec.structs.fields(kind)]
 
 
 def _default(field: msgspec.structs.FieldInfo) -> Any:

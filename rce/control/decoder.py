@@ -51,7 +51,6 @@ class Decoder:
         self._taken = 0  # bytes of the present message that are decoded
         self._count = 0  # items of the present message
         self._open: list[tuple[int, list[object]]] = []  # unfinished lists, with their lengths
-        self._result: object = None
 
     def feed(self, data: bytes) -> None:
         """Add received bytes."""
@@ -65,33 +64,32 @@ class Decoder:
         Raises:
             MalformedMessage: The bytes are malformed, or the message exceeds a limit.
         """
+        lists = self._open
         while (item := self._item()) is not INCOMPLETE:
-            if self._finish(item):
-                message = self._result
-                self.size, self.items = self._taken, self._count
-                self._taken = self._count = 0
-                if self.size > self.max_bytes:
-                    raise MalformedMessage("a message is too large")
-                return message
+            if item is _BEGUN:
+                length, item = lists[-1]
+                if length:
+                    continue
+                lists.pop()
+            while lists:
+                length, innermost = lists[-1]
+                innermost.append(item)
+                if len(innermost) < length:
+                    break
+                item = innermost
+                lists.pop()
+            else:
+                return self._complete(item)
         if self._taken + len(self._buffer) - self._position > self.max_bytes:
             raise MalformedMessage("a message is too large")
         return INCOMPLETE
 
-    def _finish(self, item: object) -> bool:
-        """Add an item to the innermost list; return True if it completes a message, which is then `_result`."""
-        lists = self._open
-        if item is not _BEGUN:
-            if not lists:
-                self._result = item
-                return True
-            lists[-1][1].append(item)
-        while (innermost := lists[-1])[0] == len(innermost[1]):
-            lists.pop()
-            if not lists:
-                self._result = innermost[1]
-                return True
-            lists[-1][1].append(innermost[1])
-        return False
+    def _complete(self, message: object) -> object:
+        self.size, self.items = self._taken, self._count
+        self._taken = self._count = 0
+        if self.size > self.max_bytes:
+            raise MalformedMessage("a message is too large")
+        return message
 
     def _item(self) -> object:
         """Decode the next string or number, or begin a list: then return _BEGUN."""
@@ -119,20 +117,17 @@ class Decoder:
         self._taken += after - start
         if kind == _STRING:
             return bytes(buffer[end:after])
-        return self._value(kind, number, buffer[end:after] if body else b"")
-
-    def _value(self, kind: int, number: int, body: bytes | bytearray) -> object:
-        if kind in (_INT, _LONG):
-            return number
-        if kind == _VOCAB and number in _WORDS:
-            return _WORDS[number]
         if kind == _LIST:
             self._begin(number)
             return _BEGUN
+        if kind == _VOCAB and number in _WORDS:
+            return _WORDS[number]
+        if kind in (_INT, _LONG):
+            return number
         if kind in (_NEG, _LONG_NEG):
             return -number
         if kind == _FLOAT:
-            return struct.unpack("!d", body)[0]
+            return struct.unpack("!d", buffer[end:after])[0]
         raise MalformedMessage("it is no message of Perspective Broker")
 
     def _begin(self, length: int) -> None:

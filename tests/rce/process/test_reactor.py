@@ -1,10 +1,13 @@
-"""Sockets that report an error while they still have data to read, under uvloop."""
+"""Twisted's sockets under uvloop."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
 import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
@@ -41,21 +44,59 @@ def reset(client: socket.socket, data: bytes) -> None:
     client.close()
 
 
-async def test_connection_reset_is_reported_despite_pending_data(reactor: ReactorBase) -> None:
+@asynccontextmanager
+async def listening(reactor: ReactorBase, accepted: asyncio.Queue[Server]) -> AsyncIterator[tuple[str, int]]:
     assert isinstance(reactor, UvloopReactor)
-    accepted: asyncio.Queue[Server] = asyncio.Queue()
     factory = Factory.forProtocol(lambda: Server(accepted))
     port: IListeningPort = reactor.listenTCP(0, factory, interface="127.0.0.1")  # type: ignore[no-untyped-call]
-    address = "127.0.0.1", port.getHost().port  # type: ignore[misc]  # zope declares it without self
-    for number in range(3):  # later connections may have the file descriptor of an earlier one
+    yield "127.0.0.1", port.getHost().port  # type: ignore[misc]  # zope declares it without self
+    await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+
+
+async def test_connection_reset_is_reported_despite_pending_data(reactor: ReactorBase) -> None:
+    accepted: asyncio.Queue[Server] = asyncio.Queue()
+    async with listening(reactor, accepted) as address:
+        for number in range(3):  # later connections may have the file descriptor of an earlier one
+            client = socket.create_connection(address)
+            server = await asyncio.wait_for(accepted.get(), TIMEOUT)
+            reset(client, b"last %d" % number)
+            await asyncio.wait_for(server.lost, TIMEOUT)
         client = socket.create_connection(address)
         server = await asyncio.wait_for(accepted.get(), TIMEOUT)
-        reset(client, b"last %d" % number)
+        client.send(b"hello")
+        client.close()
         await asyncio.wait_for(server.lost, TIMEOUT)
-    client = socket.create_connection(address)
-    server = await asyncio.wait_for(accepted.get(), TIMEOUT)
-    client.send(b"hello")
-    client.close()
-    await asyncio.wait_for(server.lost, TIMEOUT)
-    assert server.received == b"hello"
-    await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+        assert server.received == b"hello"
+
+
+async def test_more_than_the_kernel_takes_arrives_before_the_end(reactor: ReactorBase) -> None:
+    accepted: asyncio.Queue[Server] = asyncio.Queue()
+    async with listening(reactor, accepted) as address:
+        reader, writer = await asyncio.open_connection(*address)
+        server = await asyncio.wait_for(accepted.get(), TIMEOUT)
+        transport: Any = server.transport
+        sent = bytes(range(256)) * 100_000
+        for start in range(0, len(sent), 1_000_000):
+            transport.write(sent[start : start + 1_000_000])
+        transport.loseConnection()
+        assert await asyncio.wait_for(reader.read(-1), TIMEOUT) == sent
+        writer.close()
+        await asyncio.wait_for(server.lost, TIMEOUT)
+        assert isinstance(reactor, UvloopReactor)
+        assert not reactor.getWriters()
+
+
+async def test_data_of_an_aborted_connection_is_dropped(reactor: ReactorBase) -> None:
+    accepted: asyncio.Queue[Server] = asyncio.Queue()
+    async with listening(reactor, accepted) as address:
+        reader, writer = await asyncio.open_connection(*address)
+        server = await asyncio.wait_for(accepted.get(), TIMEOUT)
+        transport: Any = server.transport
+        transport.write(b"never sent")
+        transport.abortConnection()
+        with suppress(ConnectionResetError):
+            assert await asyncio.wait_for(reader.read(-1), TIMEOUT) == b""
+        writer.close()
+        await asyncio.wait_for(server.lost, TIMEOUT)
+        assert isinstance(reactor, UvloopReactor)
+        assert not reactor.getWriters()
