@@ -141,7 +141,7 @@ class Broker(BaseBroker):
             if part[0] not in _PLAIN:
                 raise pb.Error("a value has another type")
             parts += part[1:]
-        return super().unserialize(sexp, perspective)
+        return super().unserialize(sexp, perspective)  # type: ignore[no-untyped-call]
 
     def proto_ping(self) -> None:
         """Answer a ping of a peer that has joined.
@@ -152,24 +152,6 @@ class Broker(BaseBroker):
         if not self.joined:
             raise pb.Error("it pings before it has joined")
         super().proto_ping()
-
-    def proto_answer(self, requestID: int, netResult: Any) -> None:
-        """Pass the result of a call of ours on.
-
-        Raises:
-            pb.Error: It is none of a `CallReceiver`.
-        """
-        answer = self._end_call(requestID)
-        result: Any = None
-        try:
-            result = self.unserialize(netResult)
-        finally:
-            if isinstance(result, tuple):
-                answer.callback(result)
-            else:
-                answer.errback(Failure(pb.PBConnectionLost("the answer is malformed")))
-        if not isinstance(result, tuple):
-            raise pb.Error("the answer to a call is malformed")
 
     # --- end ----------------------------------------------------------------------------------------------------------
 

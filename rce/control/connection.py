@@ -16,16 +16,16 @@ from typing import Any, TypeVar, cast
 
 import msgspec
 from msgspec import Raw, Struct
-from twisted.internet.defer import Deferred
 from twisted.logger import Logger
 from twisted.spread import pb
 from twisted.spread.pb import RemoteError
 
+from rce.control.base_broker import Answerer
 from rce.control.calls.call import Call, Nothing, result_type
 from rce.control.calls.watching import Metrics, ReadMetrics
 from rce.control.limits import MAX_MESSAGE
 from rce.control.liveness import Liveness
-from rce.control.pages import MALFORMED_PAGES, Answer, Question, decode_pages, encode, encode_pages
+from rce.control.pages import MALFORMED_PAGES, Answer, Pages, Question, decode_pages, encode, encode_pages
 from rce.control.term import Fence, Unfenced
 from rce.errors import (
     MALFORMED,
@@ -131,7 +131,7 @@ class Receiver(pb.Referenceable):
             raise pb.Error(f"malformed call: {type(error).__name__}") from None
 
 
-class CallReceiver(Receiver):
+class CallReceiver(Receiver, Answerer):
     """The only object that a joined peer needs: it passes the peer's calls to `handlers`."""
 
     def __init__(self, handlers: Handlers, max_size: int = MAX_MESSAGE, fence: Fence | None = None) -> None:
@@ -140,19 +140,16 @@ class CallReceiver(Receiver):
         self._max_size = max_size
         self._fence = fence or Unfenced()
 
-    def remote_call(self, *pages: bytes) -> Deferred[tuple[bytes, ...]]:
-        """Answer a call of the peer; see `Handlers.answer`."""
-        question = decode_pages(pages, Question)
+    def answer(self, pages: tuple[bytes, ...] | None) -> asyncio.Task[Pages]:
+        """Begin to answer a call of the peer; see `Handlers.answer`."""
+        return asyncio.create_task(self._answer(decode_pages(pages or (), Question)))
+
+    async def _answer(self, question: Question) -> Pages:
         try:
             self._fence.check(question.term)
         except RceError as error:
-            refused: Deferred[tuple[bytes, ...]] = Deferred()
-            refused.callback(tuple(encode_pages(Answer(False, encode(error.info)))))
-            return refused
-        return Deferred.fromFuture(asyncio.ensure_future(self._answer(question)))
-
-    async def _answer(self, question: Question) -> tuple[bytes, ...]:
-        return tuple(encode_pages(await self.handlers.answer(question, self._max_size)))
+            return encode_pages(Answer(False, encode(error.info)))
+        return encode_pages(await self.handlers.answer(question, self._max_size))
 
 
 class Control:
@@ -224,8 +221,8 @@ class Control:
 
     def _call_remote(self, name: str, call: Raw) -> asyncio.Future[tuple[bytes, ...]]:
         pages = encode_pages(Question(name, logs.request_id.get(), self._fence.term, call))
-        deferred: Deferred[tuple[bytes, ...]] = self._receiver.callRemote("call", *pages)
-        return deferred.asFuture(asyncio.get_running_loop())
+        answer: asyncio.Future[tuple[bytes, ...]] = self._receiver.broker.call(self._receiver, pages)
+        return answer
 
     def close(self) -> None:
         """Close the connection at once."""

@@ -12,6 +12,8 @@ from typing import Final
 
 from twisted.spread import banana
 
+from rce.control import messages
+
 MAX_DEPTH = 32  # nested lists
 MAX_PREFIX = 64  # bytes of a number
 INCOMPLETE: Final = object()
@@ -65,6 +67,11 @@ class Decoder:
             MalformedMessage: The bytes are malformed, or the message exceeds a limit.
         """
         lists = self._open
+        if not lists and (whole := messages.decode(self._buffer, self._position)) is not None:
+            self._taken = whole.end - self._position
+            self._position = whole.end
+            self._add_items(whole.items)
+            return self._complete(whole.message)
         while (item := self._item()) is not INCOMPLETE:
             if item is _BEGUN:
                 length, item = lists[-1]
@@ -83,6 +90,11 @@ class Decoder:
         if self._taken + len(self._buffer) - self._position > self.max_bytes:
             raise MalformedMessage("a message is too large")
         return INCOMPLETE
+
+    def _add_items(self, count: int) -> None:
+        self._count += count
+        if self._count > self.max_items:
+            raise MalformedMessage("a message has too many items")
 
     def _complete(self, message: object) -> object:
         self.size, self.items = self._taken, self._count
@@ -110,9 +122,7 @@ class Decoder:
         after = end + body
         if len(buffer) < after:
             return INCOMPLETE
-        self._count += 1
-        if self._count > self.max_items:
-            raise MalformedMessage("a message has too many items")
+        self._add_items(1)
         self._position = after
         self._taken += after - start
         if kind == _STRING:

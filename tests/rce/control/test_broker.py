@@ -165,6 +165,17 @@ async def test_malformed_call_is_not_logged_with_a_traceback(
     assert not failures
 
 
+@pytest.mark.parametrize("number", [b"x", -1, 2**40, [7]], ids=str)
+async def test_call_with_a_malformed_number_ends_the_connection(
+    listener: Listener, failures: list[object], number: Any
+) -> None:
+    client, server = await listener.pair(Handlers())
+    receiver = client._receiver
+    receiver.broker.sendEncoded([b"message", number, receiver.luid, b"call", 1, [b"tuple", b"x"], [b"dictionary"]])
+    await asyncio.wait_for(server.lost, TIMEOUT)
+    assert not failures
+
+
 @pytest.mark.parametrize("answer", [7, [b"list"], [b"module", b"os"], [b"tuple"]], ids=str)
 async def test_answer_of_another_form_fails_the_call(listener: Listener, answer: Any) -> None:
     client, server = await listener.pair(Handlers())
