@@ -62,10 +62,9 @@ class CommandExecutor:
         order = self._orders.setdefault(call.robot, asyncio.Lock())
         async with order:
             for packed in call.commands:
+                if tasks and len(tasks) % START_TOGETHER == 0:
+                    await asyncio.sleep(0)  # those before begin
                 tasks.append(asyncio.create_task(self._one_by_robot(process, user, tag, packed, call.again)))
-                if len(tasks) % START_TOGETHER == 0:
-                    await asyncio.sleep(0)  # they begin
-            await asyncio.sleep(0)
         results = await asyncio.gather(*tasks, return_exceptions=True)
         failed = {position: info for position, error in enumerate(results) if (info := _info(error)) is not None}
         return Executed(failed, {position: each for position, each in enumerate(results) if _is_service(each)})

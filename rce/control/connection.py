@@ -202,8 +202,12 @@ class Control:
         """
         name, seconds = type(call).__name__, seconds or call.timeout
         try:
-            async with asyncio.timeout(seconds):
-                pages = await self._call_remote(name, encode(call, self._max_size))
+            answer = self._call_remote(name, encode(call, self._max_size))
+            timer = asyncio.get_running_loop().call_later(seconds, _time_out, answer)
+            try:
+                pages = await answer
+            finally:
+                timer.cancel()
         except TimeoutError:
             raise TimedOut(f"{self.address} did not answer {name} within {seconds:g} s") from None
         except (pb.DeadReferenceError, pb.PBConnectionLost):
@@ -211,10 +215,10 @@ class Control:
         except (pb.Error, RemoteError, ValueError) as wrong:
             raise InvalidRequest(f"{self.address} did not understand {name}: {wrong}") from None
         try:
-            answer = decode_pages(pages, Answer)
-            if answer.good:
-                return msgspec.msgpack.decode(answer.value, type=result_type(type(call)))
-            error = RceError.from_info(clipped(msgspec.msgpack.decode(answer.value, type=ErrorInfo)))
+            found = decode_pages(pages, Answer)
+            if found.good:
+                return msgspec.msgpack.decode(found.value, type=result_type(type(call)))
+            error = RceError.from_info(clipped(msgspec.msgpack.decode(found.value, type=ErrorInfo)))
         except MALFORMED_PAGES as wrong:
             error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
         raise error
@@ -237,6 +241,11 @@ class Control:
         log.warn("nothing was received from {address}: closing the control connection", address=self.address)
         self.fell_silent = True
         self.close()
+
+
+def _time_out(answer: asyncio.Future[tuple[bytes, ...]]) -> None:
+    if not answer.done():
+        answer.set_exception(TimeoutError())
 
 
 def disable_nagle(transport: Any) -> None:

@@ -67,11 +67,14 @@ class Decoder:
             MalformedMessage: The bytes are malformed, or the message exceeds a limit.
         """
         lists = self._open
-        if not lists and (whole := messages.decode(self._buffer, self._position)) is not None:
-            self._taken = whole.end - self._position
-            self._position = whole.end
-            self._add_items(whole.items)
-            return self._complete(whole.message)
+        if not lists:
+            if self._position == len(self._buffer):
+                return INCOMPLETE
+            if (whole := messages.decode(self._buffer, self._position)) is not None:
+                self._taken = whole.end - self._position
+                self._position = whole.end
+                self._add_items(whole.items)
+                return self._complete(whole.message)
         while (item := self._item()) is not INCOMPLETE:
             if item is _BEGUN:
                 length, item = lists[-1]

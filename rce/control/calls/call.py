@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Generic, TypeVar, get_args
+from functools import cache
+from typing import Any, ClassVar, Generic, TypeVar, get_args
 
 from msgspec import Struct
 
@@ -23,8 +24,13 @@ class Call(Struct, Generic[R], frozen=True):
 
 def result_type(call: type[Call[R]]) -> type[R]:
     """Return the type of a call's result."""
-    kind: type[R] = get_args(call.__orig_bases__[0])[0]  # type: ignore[attr-defined]  # every generic subclass has it
+    kind: type[R] = _type_argument(call)
     return kind
+
+
+@cache
+def _type_argument(call: type) -> Any:
+    return get_args(call.__orig_bases__[0])[0]  # type: ignore[attr-defined]  # every generic subclass has it
 
 
 class Nothing(Struct, frozen=True):
