@@ -18,12 +18,12 @@ import time
 from collections.abc import Callable
 from contextvars import ContextVar
 from datetime import datetime
+from functools import cache, lru_cache
 from typing import IO, Any
 
 import msgspec
 from twisted.logger import (
     FileLogObserver,
-    FilteringLogObserver,
     LogEvent,
     Logger,
     LogLevel,
@@ -36,6 +36,7 @@ from twisted.logger import (
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 """Id of the request that the current task serves: `a1b2c3d4` for a connection, `a1b2c3d4.1` … for its commands."""
 _ID = re.compile(r"[\w.:-]{1,80}", re.ASCII)
+_RANKS = {level: rank for rank, level in enumerate(LogLevel.iterconstants())}  # from debug to critical
 _TWISTED_KEYS = frozenset({"format", "time", "isError", "message"})  # keys of Twisted without the prefix log_
 
 
@@ -80,7 +81,13 @@ def _filtered(observer: Any, quiet: bool = False) -> Any:  # mypy does not see t
         ("alembic", LogLevel.warn),
     ):
         level.setLogLevelForNamespace(namespace, lowest)
-    return FilteringLogObserver(observer, [level])  # type: ignore[list-item]
+    rank_of = cache(lambda namespace: _RANKS[level.logLevelForNamespace(namespace)])  # there are few
+
+    def observe(event: LogEvent) -> None:
+        if _RANKS.get(event.get("log_level"), -1) >= rank_of(event.get("log_namespace") or ""):
+            observer(event)
+
+    return observe
 
 
 class RateLimitedLogger:
@@ -118,15 +125,14 @@ class _FromLogging(logging.Handler):
 
 
 def _text_line(event: LogEvent) -> str:
-    clock = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
-    line = f"{clock} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {_message(event)}"
+    line = f"{_local(event)[11:23]} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {_message(event)}"
     line += f" [{id}]" if (id := request_id.get()) else ""
     return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
 
 
 def _json_line(event: LogEvent) -> str:
     line = {
-        "time": datetime.fromtimestamp(event["log_time"]).astimezone().isoformat(timespec="milliseconds"),
+        "time": _local(event),
         "level": event["log_level"].name,
         "from": event.get("log_namespace", ""),
         "message": _message(event),
@@ -137,6 +143,18 @@ def _json_line(event: LogEvent) -> str:
     if "log_failure" in event:
         line["traceback"] = _traceback(event)
     return msgspec.json.encode(line, enc_hook=str).decode() + "\n"
+
+
+def _local(event: LogEvent) -> str:
+    """Return the time of an event with milliseconds and the offset of its time zone."""
+    second, rest = divmod(event["log_time"], 1)
+    text = _local_second(int(second))
+    return f"{text[:19]}.{int(rest * 1000):03}{text[19:]}"
+
+
+@lru_cache(maxsize=1)
+def _local_second(second: int) -> str:
+    return datetime.fromtimestamp(second).astimezone().isoformat()
 
 
 def _message(event: LogEvent) -> str:

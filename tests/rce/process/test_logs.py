@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from datetime import datetime
 
 import msgspec
 import pytest
@@ -42,6 +43,32 @@ def test_json_line_has_the_request_id_and_the_fields() -> None:
         "a1b2.3",
         "info",
     )
+
+
+@pytest.mark.parametrize("time", [0.0, 1_700_000_000.0, 1_700_000_000.25, 1_700_000_001.75])
+def test_lines_have_the_local_time_in_milliseconds(time: float) -> None:
+    event = {"log_time": time, "log_level": LogLevel.info, "log_format": "hello", "log_namespace": "x"}
+    text = msgspec.json.decode(logs._json_line(event))["time"]
+    local = datetime.fromtimestamp(time).astimezone()
+    assert text == local.isoformat(timespec="milliseconds")
+    assert logs._text_line(event).startswith(f"{text[11:23]} info  x: hello")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_events_below_the_level_of_their_namespace_are_dropped(quiet: bool) -> None:
+    seen = Observer()
+    observe = logs._filtered(seen, quiet)
+    for namespace in ("rce", "autobahn", "autobahn.websocket", "alembic"):
+        for level in LogLevel.iterconstants():
+            observe({"log_level": level, "log_namespace": namespace})
+    observe({"log_namespace": "rce"})
+    found = [f"{event['log_namespace']} {getattr(event['log_level'], 'name', '')}" for event in seen.events]
+    rest = ["warn", "error", "critical"]
+    assert found == [
+        *(f"rce {name}" for name in (["info"] * (not quiet) + rest)),
+        *(f"{namespace} {name}" for namespace in ("autobahn", "autobahn.websocket") for name in rest[1:]),
+        *(f"alembic {name}" for name in rest),
+    ]
 
 
 def test_text_line_ends_with_the_request_id() -> None:
