@@ -15,7 +15,7 @@ from twisted.spread import pb
 
 from rce.control.decoder import INCOMPLETE, Decoder
 from rce.control.limits import MAX_ITEMS, MAX_MESSAGE
-from rce.control.messages import MAX_NUMBER, encode_answer, encode_call, pages_of
+from rce.control.messages import encode_answer, encode_call, pages_of
 
 log = Logger()
 
@@ -141,7 +141,7 @@ class BaseBroker(pb.Broker):
         if message != b"call" or not isinstance(receiver, Answerer):
             super().proto_message(requestID, objectID, message, answerRequired, netArgs, netKw)  # type: ignore[no-untyped-call]
             return
-        if type(requestID) is not int or not 0 <= requestID <= MAX_NUMBER:
+        if type(requestID) is not int or requestID < 0:
             raise pb.Error("the number of a call is malformed")
         try:
             answering = receiver.answer(pages_of(netArgs))

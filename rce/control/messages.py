@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 
 from twisted.spread import banana
 
-MAX_NUMBER: Final = 2**31 - 1  # larger ones have another type in Banana
 _BASE: Final = 128  # numbers are written to this base, the lowest digit first
 _WORDS = {word: bytes((number,)) + banana.VOCAB for word, number in banana.Banana.outgoingVocabulary.items()}
 _NUMBER: Final = rb"([\x00-\x7f]{1,5})"
@@ -40,7 +39,7 @@ class Decoded(NamedTuple):
 
 
 def encode_call(request: int, receiver: int, pages: Sequence[bytes]) -> bytes:
-    """Encode a call of the object with the id `receiver`. Numbers are from 0 to MAX_NUMBER."""
+    """Encode a call of the object with the id `receiver`."""
     ids = _number(request) + banana.INT + _number(receiver) + banana.INT
     return b"".join((_CALL, ids, _METHOD, *_tuple(pages), _NO_KEYWORDS))
 

@@ -165,7 +165,7 @@ async def test_malformed_call_is_not_logged_with_a_traceback(
     assert not failures
 
 
-@pytest.mark.parametrize("number", [b"x", -1, 2**40, [7]], ids=str)
+@pytest.mark.parametrize("number", [b"x", -1, [7]], ids=str)
 async def test_call_with_a_malformed_number_ends_the_connection(
     listener: Listener, failures: list[object], number: Any
 ) -> None:

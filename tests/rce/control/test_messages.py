@@ -10,7 +10,7 @@ from twisted.spread import banana
 from rce.control import messages
 from rce.control.decoder import INCOMPLETE, Decoder, MalformedMessage
 
-NUMBERS = st.integers(0, messages.MAX_NUMBER)
+NUMBERS = st.integers(0, 2**31 - 1)  # for larger ones Twisted has another type
 WORDS = frozenset(banana.Banana.outgoingVocabulary)  # which Twisted replaces by their numbers, also in pages
 PAGES = st.lists(st.binary(max_size=300).filter(lambda page: page not in WORDS), max_size=3)
 
@@ -78,6 +78,13 @@ def test_limits_hold_however_the_bytes_arrive(data: bytes) -> None:
             decoder = Decoder(max_bytes, max_items)
             with pytest.raises(MalformedMessage):
                 decode(decoder, data, step)
+
+
+@pytest.mark.parametrize("request_number", [2**31, 2**40])
+def test_number_of_a_connection_that_has_made_many_calls(request_number: int) -> None:
+    decoder = Decoder(1000, 100)
+    decoder.feed(messages.encode_answer(request_number, [b"page"]))
+    assert decoder.next() == [b"answer", request_number, [b"tuple", b"page"]]
 
 
 def test_page_above_the_limit_of_banana_is_refused() -> None:
