@@ -152,7 +152,7 @@ class Outbox(Generic[P]):
         owner: Owner | None = None,
         priority: Priority = Priority.NORMAL,
     ) -> int:
-        """Queue a message.
+        """Queue a message. After `clear` it is dropped.
 
         Args:
             source: Source of the message.
@@ -169,6 +169,8 @@ class Outbox(Generic[P]):
         if begun and self._write_all(pieces):
             if self._queues:  # filled meanwhile
                 self._pump()
+            return 0
+        if self._write is _closed:
             return 0
         queue = self._queues.get(source)
         if queue is None:
@@ -246,7 +248,7 @@ class Outbox(Generic[P]):
             queue.end_current()
 
     def clear(self) -> None:
-        """Drop all messages and stop writing for good, because the stream is gone."""
+        """Drop all messages, and those that follow, because the stream is gone."""
         for queue in self._queues.values():
             queue.end_current()
             queue.discard()

@@ -113,6 +113,15 @@ async def test_waiting_sender_is_released_when_its_queue_is_dropped(end: str) ->
     assert stream.outbox.backlog(A) == 0
 
 
+def test_messages_after_the_end_are_dropped() -> None:
+    """They would be kept with the owner of the outbox."""
+    stream = Stream()
+    stream.outbox.clear()
+    assert stream.outbox.put(A, message("a"), None) == 0
+    assert stream.outbox.empty
+    assert stream.written == []
+
+
 def test_message_being_sent_is_dropped_when_the_stream_breaks() -> None:
     stream = Stream(2)
     stream.outbox.put(A, message("a", 5), None)
