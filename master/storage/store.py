@@ -17,7 +17,7 @@ import sqlite3
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -61,7 +61,7 @@ class Work(NamedTuple):
     """
 
     run: Callable[[sa.Connection], Any]
-    done: Future[Any]
+    done: asyncio.Future[Any]
     repeatable: bool
     writes: bool
 
@@ -155,7 +155,7 @@ class Store:
             UnknownOutcome: The connection was lost during the commit.
             Unavailable: The database cannot be reached, or another Master leads.
         """
-        result: R = await self._await(Work(work, Future(), repeatable, writes=True))
+        result: R = await self._await(work, repeatable, writes=True)
         return result
 
     async def read(self, work: Callable[[sa.Connection], R]) -> R:
@@ -165,15 +165,16 @@ class Store:
             InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
             Unavailable: The database cannot be reached, or another Master leads.
         """
-        result: R = await self._await(Work(work, Future(), repeatable=True, writes=False))
+        result: R = await self._await(work, repeatable=True, writes=False)
         return result
 
-    async def _await(self, work: Work) -> Any:
+    async def _await(self, run: Callable[[sa.Connection], Any], repeatable: bool, writes: bool) -> Any:
         began = time.perf_counter()
-        self._works.append(work)
+        done = asyncio.get_running_loop().create_future()
+        self._works.append(Work(run, done, repeatable, writes))
         self._thread.submit(self._serve)
         try:
-            return await asyncio.wrap_future(work.done)
+            return await done
         except sa.exc.DataError as error:
             raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
         except sa.exc.OperationalError as error:
@@ -188,26 +189,25 @@ class Store:
     def _serve(self) -> None:
         """Run what waits, in one transaction if possible; called in the thread, once for each piece of work."""
         works = [self._works.popleft() for _ in range(min(MAX_TOGETHER, len(self._works)))]
-        works = [work for work in works if work.done.set_running_or_notify_cancel()]
+        works = [work for work in works if not work.done.cancelled()]
         if len(works) > 1:
             try:
                 outcomes = self._transact(lambda connection: _run_together(connection, works))
             except Exception as error:  # noqa: BLE001  # the transaction as a whole failed: each gets one of its own
                 log.info("{count} transactions are repeated: {error}", count=len(works), error=str(error)[:200])
                 if isinstance(error, UnknownOutcome):
-                    for work in works:
-                        if not work.repeatable:
-                            work.done.set_exception(error)
+                    _settle([(work, (None, error)) for work in works if not work.repeatable])
                     works = [work for work in works if work.repeatable]
             else:
-                for work, outcome in zip(works, outcomes, strict=True):
-                    _settle(work.done, outcome)
+                _settle(list(zip(works, outcomes, strict=True)))
                 return
         for work in works:
+            outcome: Outcome
             try:
-                work.done.set_result(self._transact(work.run, work.repeatable))
+                outcome = self._transact(work.run, work.repeatable), None
             except Exception as error:  # noqa: BLE001  # its caller gets it
-                work.done.set_exception(error)
+                outcome = None, error
+            _settle([(work, outcome)])
 
     def _transact(self, run: Callable[[sa.Connection], R], repeatable: bool = False) -> R:
         """Run in a transaction, and again if its connection is lost before its commit."""
@@ -327,12 +327,20 @@ def _reason(error: sa.exc.SQLAlchemyError) -> str:
     return str(getattr(error, "orig", None) or error).partition("\n")[0]
 
 
-def _settle(done: Future[Any], outcome: Outcome) -> None:
-    result, error = outcome
-    if error is not None:
-        done.set_exception(error)
-    else:
-        done.set_result(result)
+def _settle(outcomes: list[tuple[Work, Outcome]]) -> None:
+    """Pass outcomes on to those who wait; called in the database's thread."""
+    if outcomes:
+        outcomes[0][0].done.get_loop().call_soon_threadsafe(_resolve, outcomes)
+
+
+def _resolve(outcomes: list[tuple[Work, Outcome]]) -> None:
+    for work, (result, error) in outcomes:
+        if work.done.done():  # nobody waits any more
+            continue
+        if error is not None:
+            work.done.set_exception(error)
+        else:
+            work.done.set_result(result)
 
 
 def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
