@@ -94,6 +94,7 @@ class Store:
                 _make_private(Path(str(parsed.database)))
             sa.event.listen(self._engine, "connect", _tune_sqlite)
             sa.event.listen(self._engine, "begin", _begin_sqlite)
+        self._connection: sa.Connection | None = None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
         self._works: deque[Work] = deque()
         self._waiting: dict[tuple[str, str], str | None] = {}
@@ -215,7 +216,8 @@ class Store:
         while True:
             committing = False
             try:
-                with self._engine.begin() as connection:
+                connection = self._connected()
+                with connection.begin():
                     if self.fence is not None:
                         self.fence(connection)
                     result = run(connection)
@@ -224,7 +226,7 @@ class Store:
             except sa.exc.SQLAlchemyError as error:
                 if not postgresql.is_lost(error):
                     raise
-                self._engine.dispose()  # after a fail-over of PostgreSQL all connections are to its old primary
+                self._disconnect()  # after a fail-over of PostgreSQL all connections are to its old primary
                 if committing and not repeatable:
                     raise UnknownOutcome(
                         f"the database was lost while it stored this: {_reason(error)}; look at what is there"
@@ -233,6 +235,18 @@ class Store:
                     raise
                 log.info("a transaction is repeated, as the database was lost: {error}", error=_reason(error))
             time.sleep(RETRY_INTERVAL)
+
+    def _connected(self) -> sa.Connection:
+        """Return the connection of the thread: getting one from the pool takes as long as a transaction."""
+        if self._connection is None:
+            self._connection = self._engine.connect()
+        return self._connection
+
+    def _disconnect(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+        self._engine.dispose()
 
     async def _do(self, work: Callable[[], R]) -> R:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
@@ -301,7 +315,7 @@ class Store:
             if self._waiting:
                 await self.run(partial(_put, rows=self._waiting), repeatable=True)
         finally:
-            await self._do(self._engine.dispose)
+            await self._do(self._disconnect)
             self._thread.shutdown()
 
 
