@@ -44,6 +44,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/control/connection.py": {"twisted"},
     "rce/control/credential.py": {"twisted"},
     "rce/control/decoder.py": {"twisted"},
+    "rce/control/messages.py": {"twisted"},
     "rce/control/removed_users.py": {"twisted"},
     "rce/control/server.py": {"twisted"},
     "rce/control/tls.py": {"twisted", "cryptography", "OpenSSL"},
