@@ -52,7 +52,7 @@ class PendingCall:
 class BaseBroker(pb.Broker):
     """Broker that answers pings, notices that something was received, and handles calls and answers itself.
 
-    Twisted takes three times as long for them. It remains for the messages by which a process joins.
+    Twisted needs twice as many instructions for them. It handles the messages by which a process joins.
 
     Attributes:
         heard: Something was received since this was set to False.

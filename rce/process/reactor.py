@@ -35,7 +35,7 @@ class UvloopReactor(AsyncioSelectorReactor):
         """Write what a connection has in the next turn of the loop; watch other selectables for writing."""
         if writer in self._writers or writer in self._unwritten:
             return
-        if getattr(writer, "connected", False):  # a socket that connects calls `doWrite` connected when it is writable
+        if getattr(writer, "connected", False):  # to one that connects, `doWrite` means that it is connected
             self._unwritten.add(writer)
             self._asyncioEventloop.call_soon(self._write, writer)
         else:
