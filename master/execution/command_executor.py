@@ -63,7 +63,7 @@ class CommandExecutor:
         async with order:
             for packed in call.commands:
                 if tasks and len(tasks) % START_TOGETHER == 0:
-                    await asyncio.sleep(0)  # those before begin
+                    await asyncio.sleep(0)  # the commands before this one begin
                 tasks.append(asyncio.create_task(self._one_by_robot(process, user, tag, packed, call.again)))
         results = await asyncio.gather(*tasks, return_exceptions=True)
         failed = {position: info for position, error in enumerate(results) if (info := _info(error)) is not None}

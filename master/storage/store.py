@@ -40,7 +40,7 @@ PATIENCE = 5.0  # seconds
 FAILURES = (sa.exc.SQLAlchemyError, DiskFull, Unavailable)  # what a database raises that does not work
 MAX_TOGETHER = 100  # pieces of work in one transaction
 RETRY_INTERVAL = 0.2  # seconds until a transaction runs again whose connection was lost, for PATIENCE
-# Made once, since SQLAlchemy takes longer to make a statement than a database to execute it. Both databases know _PUT.
+# Made once, because SQLAlchemy takes long to make a statement. SQLite and PostgreSQL both know ON CONFLICT.
 _REMOVE = records.delete().where(records.c.kind == sa.bindparam("kind"), records.c.key == sa.bindparam("key"))
 _PUT = sa.text(
     "INSERT INTO records (kind, key, value) VALUES (:kind, :key, :value)"
@@ -237,7 +237,7 @@ class Store:
             time.sleep(RETRY_INTERVAL)
 
     def _connected(self) -> sa.Connection:
-        """Return the connection of the thread: getting one from the pool takes as long as a transaction."""
+        """Return the connection of the thread, which is kept: SQLAlchemy's pool takes half as long as a transaction."""
         if self._connection is None:
             self._connection = self._engine.connect()
         return self._connection

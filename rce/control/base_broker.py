@@ -15,7 +15,7 @@ from twisted.spread import pb
 
 from rce.control.decoder import INCOMPLETE, Decoder
 from rce.control.limits import MAX_ITEMS, MAX_MESSAGE
-from rce.control.messages import encode_answer, encode_call, pages_of
+from rce.control.messages import NO_KEYWORDS, encode_answer, encode_call, pages_of
 
 log = Logger()
 
@@ -25,7 +25,7 @@ class Answerer(pb.Referenceable, ABC):
 
     @abstractmethod
     def answer(self, pages: tuple[bytes, ...] | None) -> asyncio.Task[Sequence[bytes]]:
-        """Begin to answer a call, and return a task whose result are the pages of the answer.
+        """Begin to answer a call; return a task that returns the pages of the answer.
 
         Raises:
             Exception: The call is malformed; `pages` is None if it has something else.
@@ -33,7 +33,7 @@ class Answerer(pb.Referenceable, ABC):
 
 
 class PendingCall:
-    """A call of ours whose answer has not come. It has the methods of a Deferred that a broker uses, and is cheaper."""
+    """A call of ours that waits for its answer. Twisted's broker uses it like a Deferred, which takes more time."""
 
     def __init__(self) -> None:
         self.answer: asyncio.Future[tuple[bytes, ...]] = asyncio.get_running_loop().create_future()
@@ -132,17 +132,18 @@ class BaseBroker(pb.Broker):
     def proto_message(
         self, requestID: int, objectID: Any, message: Any, answerRequired: Any, netArgs: Any, netKw: Any
     ) -> None:
-        """Answer a call; the others are those by which peers join, and Twisted's.
+        """Answer a call, and leave other messages to Twisted, such as those by which a peer joins.
 
         Raises:
-            pb.Error: The number of the call is no number.
+            pb.Error: The id of the call is not a whole number from 0 on.
         """
         receiver = self.localObjectForID(objectID) if type(objectID) is int else None  # type: ignore[no-untyped-call]
-        if message != b"call" or not isinstance(receiver, Answerer):
+        plain = message == b"call" and answerRequired == 1 and netKw == NO_KEYWORDS
+        if not plain or not isinstance(receiver, Answerer):
             super().proto_message(requestID, objectID, message, answerRequired, netArgs, netKw)  # type: ignore[no-untyped-call]
             return
         if type(requestID) is not int or requestID < 0:
-            raise pb.Error("the number of a call is malformed")
+            raise pb.Error("the id of a call is malformed")
         try:
             answering = receiver.answer(pages_of(netArgs))
         except Exception as error:  # noqa: BLE001  # decoding raises many types

@@ -19,6 +19,7 @@ from rce.control.base_broker import BaseBroker
 from rce.control.connection import disable_nagle
 from rce.control.decoder import INCOMPLETE
 from rce.control.limits import BYTES_PER_CALL, MAX_ITEMS, Budget
+from rce.control.messages import NO_KEYWORDS
 from rce.process.logs import RateLimitedLogger
 
 # Limits for a peer that has not joined:
@@ -29,7 +30,6 @@ JOIN_TIMEOUT = 20.0  # seconds until a peer asks to join
 # Types of values that peers may send, besides bytes and numbers. They join with a reference to the receiver of calls.
 _PLAIN = frozenset({b"None", b"boolean", b"list", b"tuple", b"unicode"})
 _REFERENCE = b"remote"
-_NO_KEYWORDS = [b"dictionary"]
 _COMMANDS = frozenset({b"version", b"message", b"answer", b"error", b"decref", b"ping"})  # that we use
 
 log = Logger()
@@ -134,7 +134,7 @@ class Broker(BaseBroker):
         parts = [sexp]
         while parts:
             part = parts.pop()
-            if not isinstance(part, list) or part == _NO_KEYWORDS:
+            if not isinstance(part, list) or part == NO_KEYWORDS:
                 continue
             if part[0] == _REFERENCE and [type(each) for each in part[1:]] == [int]:
                 continue

@@ -113,7 +113,7 @@ class Decoder:
             end, number = start + 2, buffer[start]
         elif (found := _TYPE_BYTE.search(buffer, start, start + MAX_PREFIX + 1)) is not None:
             end = found.end()
-            number = _number(buffer, start, end - 1)
+            number = messages.decode_number(buffer[start : end - 1])
         elif len(buffer) - start > MAX_PREFIX:
             raise MalformedMessage("a number is too long")
         else:
@@ -149,11 +149,3 @@ class Decoder:
         if len(self._open) >= MAX_DEPTH:
             raise MalformedMessage("lists are nested too deeply")
         self._open.append((length, []))
-
-
-def _number(buffer: bytearray, start: int, end: int) -> int:
-    """Decode a number, whose digits to the base 128 begin with the lowest."""
-    number = 0
-    for index in range(end - 1, start - 1, -1):
-        number = number << 7 | buffer[index]
-    return number

@@ -14,20 +14,21 @@ from typing import Final, NamedTuple
 
 from twisted.spread import banana
 
+NO_KEYWORDS: Final = [b"dictionary"]  # part of each call
 _BASE: Final = 128  # numbers are written to this base, the lowest digit first
 _WORDS = {word: bytes((number,)) + banana.VOCAB for word, number in banana.Banana.outgoingVocabulary.items()}
 _NUMBER: Final = rb"([\x00-\x7f]{1,5})"
 
 _CALL: Final = b"\x07" + banana.LIST + _WORDS[b"message"]
 _METHOD: Final = b"\x04" + banana.STRING + b"call" + b"\x01" + banana.INT
-_NO_KEYWORDS: Final = b"\x01" + banana.LIST + _WORDS[b"dictionary"]
+_END_OF_CALL: Final = b"\x01" + banana.LIST + _WORDS[b"dictionary"]
 _ANSWER: Final = b"\x03" + banana.LIST + _WORDS[b"answer"]
-_PAGE: Final = b"\x02" + banana.LIST + _WORDS[b"tuple"]
+_ONE_PAGE: Final = b"\x02" + banana.LIST + _WORDS[b"tuple"]
 _CALL_ITEMS, _ANSWER_ITEMS = 11, 6
 _CALL_START = re.compile(
-    re.escape(_CALL) + (_NUMBER + re.escape(banana.INT)) * 2 + re.escape(_METHOD + _PAGE) + _NUMBER + banana.STRING
+    re.escape(_CALL) + (_NUMBER + re.escape(banana.INT)) * 2 + re.escape(_METHOD + _ONE_PAGE) + _NUMBER + banana.STRING
 )
-_ANSWER_START = re.compile(re.escape(_ANSWER) + _NUMBER + re.escape(banana.INT + _PAGE) + _NUMBER + banana.STRING)
+_ANSWER_START = re.compile(re.escape(_ANSWER) + _NUMBER + re.escape(banana.INT + _ONE_PAGE) + _NUMBER + banana.STRING)
 
 
 class Decoded(NamedTuple):
@@ -41,7 +42,7 @@ class Decoded(NamedTuple):
 def encode_call(request: int, receiver: int, pages: Sequence[bytes]) -> bytes:
     """Encode a call of the object with the id `receiver`."""
     ids = _number(request) + banana.INT + _number(receiver) + banana.INT
-    return b"".join((_CALL, ids, _METHOD, *_tuple(pages), _NO_KEYWORDS))
+    return b"".join((_CALL, ids, _METHOD, *_tuple(pages), _END_OF_CALL))
 
 
 def encode_answer(request: int, pages: Sequence[bytes]) -> bytes:
@@ -59,19 +60,27 @@ def pages_of(part: object) -> tuple[bytes, ...] | None:
 def decode(buffer: bytearray, start: int) -> Decoded | None:
     """Decode the call or answer of one page that begins at index `start`; None if it is incomplete, or another one."""
     if (found := _CALL_START.match(buffer, start)) is not None:
-        request, receiver, size = map(_value, found.groups())
+        request, receiver, size = map(decode_number, found.groups())
         page, end = found.end(), found.end() + size
-        if size > banana.SIZE_LIMIT or not buffer.startswith(_NO_KEYWORDS, end):
+        if size > banana.SIZE_LIMIT or not buffer.startswith(_END_OF_CALL, end):
             return None
-        message = [b"message", request, receiver, b"call", 1, [b"tuple", bytes(buffer[page:end])], [b"dictionary"]]
-        return Decoded(message, _CALL_ITEMS, end + len(_NO_KEYWORDS))
+        message = [b"message", request, receiver, b"call", 1, [b"tuple", bytes(buffer[page:end])], [*NO_KEYWORDS]]
+        return Decoded(message, _CALL_ITEMS, end + len(_END_OF_CALL))
     if (found := _ANSWER_START.match(buffer, start)) is not None:
-        request, size = map(_value, found.groups())
+        request, size = map(decode_number, found.groups())
         page, end = found.end(), found.end() + size
         if size > banana.SIZE_LIMIT or len(buffer) < end:
             return None
         return Decoded([b"answer", request, [b"tuple", bytes(buffer[page:end])]], _ANSWER_ITEMS, end)
     return None
+
+
+def decode_number(digits: bytes | bytearray) -> int:
+    """Decode a number."""
+    number = 0
+    for digit in reversed(digits):
+        number = number * _BASE + digit
+    return number
 
 
 def _tuple(pages: Sequence[bytes]) -> list[bytes]:
@@ -89,10 +98,3 @@ def _number(value: int) -> bytes:
         value, digit = divmod(value, _BASE)
         digits.append(digit)
     return bytes(digits)
-
-
-def _value(digits: bytes) -> int:
-    value = 0
-    for digit in reversed(digits):
-        value = value * _BASE + digit
-    return value

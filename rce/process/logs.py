@@ -81,7 +81,7 @@ def _filtered(observer: Any, quiet: bool = False) -> Any:  # mypy does not see t
         ("alembic", LogLevel.warn),
     ):
         level.setLogLevelForNamespace(namespace, lowest)
-    rank_of = cache(lambda namespace: _RANKS[level.logLevelForNamespace(namespace)])  # there are few
+    rank_of = cache(lambda namespace: _RANKS[level.logLevelForNamespace(namespace)])  # there are few namespaces
 
     def observe(event: LogEvent) -> None:
         if _RANKS.get(event.get("log_level"), -1) >= rank_of(event.get("log_namespace") or ""):
@@ -125,14 +125,16 @@ class _FromLogging(logging.Handler):
 
 
 def _text_line(event: LogEvent) -> str:
-    line = f"{_local(event)[11:23]} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {_message(event)}"
+    line = (
+        f"{_local_time(event)[11:23]} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {_message(event)}"
+    )
     line += f" [{id}]" if (id := request_id.get()) else ""
     return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
 
 
 def _json_line(event: LogEvent) -> str:
     line = {
-        "time": _local(event),
+        "time": _local_time(event),
         "level": event["log_level"].name,
         "from": event.get("log_namespace", ""),
         "message": _message(event),
@@ -145,7 +147,7 @@ def _json_line(event: LogEvent) -> str:
     return msgspec.json.encode(line, enc_hook=str).decode() + "\n"
 
 
-def _local(event: LogEvent) -> str:
+def _local_time(event: LogEvent) -> str:
     """Return the time of an event with milliseconds and the offset of its time zone."""
     second, rest = divmod(event["log_time"], 1)
     text = _local_second(int(second))

@@ -6,7 +6,8 @@ the next `add_reader` for that socket raises RuntimeError. This reactor therefor
 event.
 
 Twisted waits until a socket is writable before it writes to it, which takes two system calls more and another turn of
-the loop, although nearly every socket is. This reactor first writes, and waits only with what the kernel does not take.
+the loop, although nearly every socket is. This reactor writes first, and waits only if the kernel does not take
+everything.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ class UvloopReactor(AsyncioSelectorReactor):
         """Write what a connection has in the next turn of the loop; watch other selectables for writing."""
         if writer in self._writers or writer in self._unwritten:
             return
-        if getattr(writer, "connected", False):  # to one that connects, `doWrite` means that it is connected
+        if getattr(
+            writer, "connected", False
+        ):  # `doWrite` would tell a socket that still connects that it is connected
             self._unwritten.add(writer)
             self._asyncioEventloop.call_soon(self._write, writer)
         else:

@@ -19,7 +19,7 @@ from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.watching import Log, ReadLog, ReadMetrics
 from rce.control.connection import Handlers
-from rce.control.pages import Question
+from rce.control.pages import Question, encode, encode_pages
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, NotFound, Unavailable
 from rce.process import logs, metrics
 from tests.support.control import TIMEOUT, closed, listening
@@ -113,6 +113,16 @@ async def test_call_that_the_peer_does_not_understand_fails(reactor: ReactorBase
     async with listening(reactor) as listener:
         client, server = await listener.pair(Handlers())
         call = (client, server)[end]._receiver.callRemote("call", *pages).asFuture(asyncio.get_running_loop())
+        with pytest.raises(pb.Error, match="not understood"):
+            await asyncio.wait_for(call, TIMEOUT)
+        await closed(client, server)
+
+
+async def test_call_with_keywords_is_not_understood(reactor: ReactorBase) -> None:
+    pages = encode_pages(Question("ReadLog", "", 0, encode(ReadLog("n"))))
+    async with listening(reactor) as listener:
+        client, server = await listener.pair(answering(never))
+        call = server._receiver.callRemote("call", *pages, more=b"x").asFuture(asyncio.get_running_loop())
         with pytest.raises(pb.Error, match="not understood"):
             await asyncio.wait_for(call, TIMEOUT)
         await closed(client, server)
