@@ -90,7 +90,7 @@ def primitive(item: Item) -> Write:
 
 def _text(value: str, bound: int, parts: list[Buffer], pos: int, path: str) -> int:
     data = value.encode()
-    if b"\0" in data:
+    if 0 in data:
         raise FieldError("a ROS string cannot hold the character U+0000", path)
     if bound and len(data) > bound:
         raise FieldError(f"expected at most {bound} bytes of UTF-8, got {len(data)}", path)

@@ -78,6 +78,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._flight = Flight(lambda: None)  # holds nothing back
         self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
         self._pauses: dict[object, None] = {}  # what reading waits for: futures, and TURN
+        self._turn_waits = False  # received data waits for a turn of the user
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
@@ -173,7 +174,9 @@ class ClientSocket(WebSocketServerProtocol):
             return
         if data:  # a view, because the parser slices it for every frame
             self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
-            if self._turns.busy(self._user):
+            if self._turn_waits:  # a pause costs system calls, so only data that come meanwhile make one
+                self._pause(TURN)
+            elif self._turns.busy(self._user):
                 self._wait_for_turn()
         self.consumeData()
 
@@ -251,7 +254,7 @@ class ClientSocket(WebSocketServerProtocol):
         frame over a slow network.
         """
         unsent = self.transport.get_write_buffer_size()
-        not_reading = not unsent and bool(self._pauses)
+        not_reading = not unsent and (self._turn_waits or bool(self._pauses))
         alive = self._data_received or not_reading or unsent < self._unsent
         self._silent_ticks = 0 if alive else self._silent_ticks + 1
         self._data_received, self._unsent = False, unsent
@@ -332,16 +335,24 @@ class ClientSocket(WebSocketServerProtocol):
                 super().consumeData()
                 return
             end = time.monotonic() + SLICE
-            while not self._pauses and self.state != self.STATE_CLOSED and self.processData():
+            while not self._turn_waits and not self._pauses and self.state != self.STATE_CLOSED and self.processData():
                 if time.monotonic() > end:
+                    self._pause(TURN)  # there is enough to do
                     self._wait_for_turn()
         except Exception:  # noqa: BLE001  # it is logged
             log.failure("defect while reading from {peer}", peer=self.peer)
             self.dropConnection(abort=True)
 
     def _wait_for_turn(self) -> None:
-        if not self._pauses and self._pause(TURN):
-            self._turns.wait(self._user, lambda: self._continue_reading(TURN))
+        self._turn_waits = True
+        self._turns.wait(self._user, self._take_turn)
+
+    def _take_turn(self) -> None:
+        self._turn_waits = False
+        if TURN in self._pauses:
+            self._continue_reading(TURN)
+        else:
+            self.consumeData()
 
     def end(self, reason: str) -> None:
         """Close the socket with this reason."""

@@ -52,7 +52,7 @@ def first_message(data: memoryview, limit: int) -> Received | None:
         return None
     length, start = data[1] - MASKED, 2
     if length == LONG and len(data) >= 8:
-        length, start = int.from_bytes(data[2:4]), 4
+        length, start = data[2] << 8 | data[3], 4
         if length < LONG:  # it must be in the second byte
             return None
     elif not 0 <= length < LONG:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from websockets.frames import Frame, Opcode
@@ -108,6 +109,56 @@ async def test_reading_pauses_until_all_who_asked_for_it_have_room(platform: Pla
     second.set_result(None)
     await asyncio.sleep(0)
     assert socket.transport.is_reading()
+
+
+async def test_reading_pauses_only_if_more_comes_before_the_turn(platform: Platform) -> None:
+    _, b = await pair(platform)
+    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
+    frames = [Frame(Opcode.TEXT, TEXT % number).serialize(mask=True) for number in range(3)]
+    socket._turns.wait(USER, lambda: None)  # the user is busy
+    socket.data_received(frames[0])
+    assert socket.transport.is_reading()
+    socket.data_received(frames[1])
+    assert not socket.transport.is_reading()
+    assert [frame["data"]["msgID"] for frame in await b.receive_all(2)] == ["0", "1"]
+    assert socket.transport.is_reading()
+    socket._turns.wait(USER, lambda: None)
+    socket.data_received(frames[2])
+    assert (await b.receive())["data"]["msgID"] == "2"
+
+
+async def test_turn_does_not_end_another_pause(platform: Platform) -> None:
+    _, b = await pair(platform)
+    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
+    socket._turns.wait(USER, lambda: None)
+    for number in range(2):
+        socket.data_received(Frame(Opcode.TEXT, TEXT % number).serialize(mask=True))
+    room = asyncio.get_running_loop().create_future()
+    socket.pause_reading(room)
+    await eventually(lambda: not socket._turn_waits)
+    await b.expect_silence()
+    assert not socket.transport.is_reading()
+    room.set_result(None)
+    assert [frame["data"]["msgID"] for frame in await b.receive_all(2)] == ["0", "1"]
+    assert socket.transport.is_reading()
+
+
+async def test_end_of_another_pause_does_not_end_the_wait_for_a_turn(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, b = await pair(platform)
+    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
+    turns: list[Callable[[], None]] = []
+    monkeypatch.setattr(socket, "_turns", Mock(busy=lambda _: True, wait=lambda _, work: turns.append(work)))
+    room = asyncio.get_running_loop().create_future()
+    socket.pause_reading(room)
+    socket.data_received(Frame(Opcode.TEXT, TEXT % 1).serialize(mask=True))
+    room.set_result(None)
+    await b.expect_silence()
+    assert socket.transport.is_reading()
+    (turn,) = turns
+    turn()
+    assert (await b.receive())["data"]["msgID"] == "1"
 
 
 async def test_open_socket_keeps_nothing_of_its_handshake(platform: Platform) -> None:
