@@ -22,7 +22,7 @@ from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
 from rce.net.flight import flight_of
 from rce.net.outbox import Outbox, Priority
 from rce.protocol.assembler import Assembled, Assembler, AssemblyResult
-from rce.protocol.blobs import Buffer, binary_frames
+from rce.protocol.blobs import STAR, Buffer, binary_frames
 from rce.protocol.messages import (
     FEATURES,
     DataMessage,
@@ -272,7 +272,7 @@ class Connection:
         if frame.type == "DM":
             # A key that refers to a blob ends in a star; without one the search for references can be skipped.
             return self._message_of(
-                self._assembler.add_frame(frame) if b"*" in payload else AssemblyResult(Assembled(frame, {}))
+                self._assembler.add_frame(frame) if STAR in payload else AssemblyResult(Assembled(frame, {}))
             )
         if frame.type == "ST":
             return _status(frame)

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import UNSET
 
 from rce.errors import ConversionError, InvalidRequest
-from rce.protocol.blobs import Buffer, attach, detach
+from rce.protocol.blobs import STAR, Buffer, attach, detach
 from rce.protocol.messages import DataMessage
 
 NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
@@ -56,8 +56,7 @@ def decode_message(message: DataMessage, blobs: Mapping[str, Buffer]) -> Any:
         value = {key: msgspec.json.decode(text)}
     except RecursionError:
         raise ConversionError(f"a message for {message.iTag} is nested too deeply", field="msg") from None
-    # Searching for one byte is ten times as fast as for two, which matters for messages of megabytes.
-    if blobs or (b"*" in text and b'*"' in text):
+    if blobs or (STAR in text and b'*"' in text):
         attach(value, blobs)
     if not message.type.endswith("/String") and (b'NaN"' in text or b'Infinity"' in text):
         _floats(value)

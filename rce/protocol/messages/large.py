@@ -14,6 +14,7 @@ from msgspec import UNSET, Raw
 from msgspec.structs import replace
 
 from rce.errors import RceError
+from rce.protocol.blobs import STAR
 from rce.protocol.messages.data import DataMessage
 from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
@@ -81,7 +82,7 @@ def split_large(payload: bytes) -> LargeMessage | None:
         None for all other frames, and for unusual ones: decode them as a whole.
     """
     found = find_content(payload, _msg, 2)  # the frame and its data are around it
-    if found is None or (b"*" in payload and _reference.search(payload)):  # one byte is found faster
+    if found is None or (STAR in payload and _reference.search(payload)):
         return None
     frame = _decode_rest(payload, found)
     if frame is None or frame.type != "DM":
