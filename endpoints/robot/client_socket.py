@@ -174,7 +174,7 @@ class ClientSocket(WebSocketServerProtocol):
             return
         if data:  # a view, because the parser slices it for every frame
             self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
-            if self._turn_waits:  # a pause costs system calls, so only data that come meanwhile make one
+            if self._turn_waits:  # a pause costs system calls, so the first data that wait do not cause one
                 self._pause(TURN)
             elif self._turns.busy(self._user):
                 self._wait_for_turn()
@@ -254,7 +254,7 @@ class ClientSocket(WebSocketServerProtocol):
         frame over a slow network.
         """
         unsent = self.transport.get_write_buffer_size()
-        not_reading = not unsent and (self._turn_waits or bool(self._pauses))
+        not_reading = not unsent and bool(self._pauses)
         alive = self._data_received or not_reading or unsent < self._unsent
         self._silent_ticks = 0 if alive else self._silent_ticks + 1
         self._data_received, self._unsent = False, unsent
@@ -337,7 +337,7 @@ class ClientSocket(WebSocketServerProtocol):
             end = time.monotonic() + SLICE
             while not self._turn_waits and not self._pauses and self.state != self.STATE_CLOSED and self.processData():
                 if time.monotonic() > end:
-                    self._pause(TURN)  # there is enough to do
+                    self._pause(TURN)  # what is left comes first
                     self._wait_for_turn()
         except Exception:  # noqa: BLE001  # it is logged
             log.failure("defect while reading from {peer}", peer=self.peer)
