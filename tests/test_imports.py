@@ -33,7 +33,7 @@ ONLY_IN: dict[str, tuple[str, ...]] = {
         "rce/recognition/",
     ),
 }
-BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
+BASE = {"rce", "msgspec", "picows", "python_socks", "websockets", "yaml"} | set(sys.stdlib_module_names)
 # Modules of `rce` that need an extra, and what they may import for it. Modules of the base must not import them.
 WITH_EXTRA: dict[str, set[str]] = {
     "rce/bag/": {"mcap"},

@@ -19,8 +19,8 @@ from enum import IntEnum
 from time import perf_counter
 from typing import Any
 
-from endpoints.buffers import uninitialized
 from rce.errors import LimitExceeded
+from rce.protocol.buffers import uninitialized
 
 HEAD = struct.Struct("!BBIII")
 FIRST, DESTINATION, ERROR, NUMBERED = 1, 2, 4, 8
@@ -150,7 +150,8 @@ class _Unfinished:
 
     stream: int
     message: Message
-    buffer: bytearray
+    content: bytes
+    buffer: memoryview  # of the content
     filled: int = 0
 
 
@@ -169,7 +170,7 @@ class FrameReader:
     def get_buffer(self) -> memoryview:
         """Return the buffer for the next bytes of the stream."""
         if self._direct is not None:
-            return memoryview(self._direct.buffer)[self._direct.filled : self._direct_end]
+            return self._direct.buffer[self._direct.filled : self._direct_end]
         if self._streams and self._have < HEAD.size:  # only the head, so that the payload after it is read directly
             return self._view[self._have : HEAD.size]
         return self._view[self._have :]
@@ -261,13 +262,13 @@ class FrameReader:
                 "them"
             )
         self._unfinished += total
-        begun = self._streams[stream] = _Unfinished(stream, message, uninitialized(total))
+        begun = self._streams[stream] = _Unfinished(stream, message, *uninitialized(total))
         return begun
 
     def _finish(self, unfinished: _Unfinished, done: list[Message]) -> None:
         if unfinished.filled < len(unfinished.buffer):
             return
-        unfinished.message.payload = unfinished.buffer
+        unfinished.message.payload = unfinished.content
         done.append(unfinished.message)
         del self._streams[unfinished.stream]
         self._unfinished -= len(unfinished.buffer)

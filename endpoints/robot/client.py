@@ -50,8 +50,8 @@ class Client(Protocol):
     def text(self, payload: bytes) -> None:
         """Handle a text message."""
 
-    def binary(self, payload: bytes) -> None:
-        """Handle a binary message."""
+    def binary(self, *fragments: bytes) -> None:
+        """Handle a binary message, which came in one or more fragments."""
 
     def sweep(self) -> None:
         """Forget what did not come in time; called every few seconds."""
@@ -118,9 +118,9 @@ class RobotClient:
         """Handle a frame."""
         self._receiver.text(payload)
 
-    def binary(self, payload: bytes) -> None:
+    def binary(self, *fragments: bytes) -> None:
         """Handle a blob or a part of one."""
-        self._receiver.binary(payload)
+        self._receiver.binary(*fragments)
 
     def sweep(self) -> None:
         """Reject frames and blobs whose rest did not come in time."""

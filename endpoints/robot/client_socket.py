@@ -204,12 +204,16 @@ class ClientSocket(WebSocketServerProtocol):
             message = first_message(self.data, self.maxMessagePayloadSize)
             if message is not None:
                 self.data = self.data[message.size :]
-                self.onMessage(message.payload, message.is_binary)
+                self._message(message.is_binary, (message.payload,))
                 return len(self.data) > 0
         more: bool = super().processData()
         return more
 
-    def onMessageFrameData(self, payload: bytes) -> None:
+    # Autobahn's adapter for asyncio asks after each of its callbacks whether the result is a coroutine.
+    _onMessageBegin = WebSocketServerProtocol.onMessageBegin
+    _onMessageFrameBegin = WebSocketServerProtocol.onMessageFrameBegin
+
+    def _onMessageFrameData(self, payload: bytes) -> None:
         """Join small fragments of a message as they come.
 
         Autobahn keeps every fragment as an object until the message ends, and a client may send millions of empty ones.
@@ -224,6 +228,9 @@ class ClientSocket(WebSocketServerProtocol):
         else:
             pieces[-1] = bytearray(pieces[-1]) + payload
 
+    def _onMessageFrameEnd(self) -> None:
+        """Do nothing: the data of the frame is among that of its message."""
+
     def onPing(self, payload: bytes) -> None:
         """Answer a ping; while the write buffer is full, only the last one (RFC 6455, section 5.5.3)."""
         if self._full:
@@ -231,14 +238,19 @@ class ClientSocket(WebSocketServerProtocol):
         else:
             super().onPing(payload)
 
-    def onMessage(self, payload: bytes, isBinary: bool) -> None:
-        """Handle a complete message."""
+    def _onMessageEnd(self) -> None:
+        """Handle a message that came in one or more fragments; Autobahn would join them."""
+        fragments, self.message_data = self.message_data, []
+        if not self.failedByMe:
+            self._message(self.message_is_binary, fragments or (b"",))
+
+    def _message(self, is_binary: bool, fragments: Sequence[bytes]) -> None:
         if self._client is None or not self._opened or self._reason:
             return
-        if isBinary:
-            self._client.binary(payload)
+        if is_binary:
+            self._client.binary(*fragments)
         else:
-            self._client.text(payload)
+            self._client.text(fragments[0] if len(fragments) == 1 else b"".join(fragments))
 
     def _tick(self) -> None:
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)

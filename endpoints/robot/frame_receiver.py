@@ -88,10 +88,10 @@ class FrameReceiver:
         except RecursionError:
             self._reject(InvalidRequest("the message is nested too deeply"), frame)
 
-    def binary(self, payload: bytes) -> None:
+    def binary(self, *fragments: bytes) -> None:
         """Handle a binary message, which is a blob or a part of one."""
         try:
-            self._dispatch(self._assembler.add_blob(payload))
+            self._dispatch(self._assembler.add_blob(*fragments))
         except RceError as error:
             self._reject(error, None)
 

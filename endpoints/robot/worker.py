@@ -31,10 +31,10 @@ from converters.custom_files import Description
 from converters.packed import PackedCodec
 from converters.reduction import ALL, AnyCodec, ReducedCodec
 from converters.ros1 import ROS1, Ros1Codec
-from endpoints.buffers import uninitialized
 from rce.errors import ErrorInfo, LimitExceeded, RceError
 from rce.process.malloc import keep_large_blocks
 from rce.protocol.blobs import Buffer
+from rce.protocol.buffers import uninitialized
 
 MAX_MEMORY = 2 << 30  # bytes of data of one worker
 NICENESS = 10  # small messages, which the endpoint converts itself, come first
@@ -94,7 +94,7 @@ def send(sock: socket.socket, head: Request | Answer, buffers: Sequence[Buffer])
         sock.sendall(each)
 
 
-def receive(sock: socket.socket) -> tuple[bytearray, list[bytearray]]:
+def receive(sock: socket.socket) -> tuple[bytes, list[bytes]]:
     """Read the head and the buffers of a request or an answer.
 
     Raises:
@@ -106,15 +106,14 @@ def receive(sock: socket.socket) -> tuple[bytearray, list[bytearray]]:
     return head, buffers
 
 
-def _read(sock: socket.socket, size: int) -> bytearray:
-    buffer = uninitialized(size)
-    view = memoryview(buffer)
+def _read(sock: socket.socket, size: int) -> bytes:
+    content, view = uninitialized(size)
     while view:
         count = sock.recv_into(view, 0, socket.MSG_WAITALL)
         if not count:
             raise EOFError
         view = view[count:]
-    return buffer
+    return content
 
 
 def _codec(recipe: Recipe, converters: str) -> AnyCodec:

@@ -45,7 +45,7 @@ class Worker:
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
 
-    def call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+    def call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytes]]:
         """Return the answer to a request and its buffers.
 
         Raises:
@@ -97,7 +97,7 @@ class Worker:
 class _Job:
     request: Request
     buffers: Sequence[Buffer]
-    done: asyncio.Future[tuple[Answer, list[bytearray]]]
+    done: asyncio.Future[tuple[Answer, list[bytes]]]
 
 
 class StreamWorker:
@@ -108,11 +108,11 @@ class StreamWorker:
         self._thread = ThreadPoolExecutor(1, "stream")
         self._running = False
 
-    async def ask(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+    async def ask(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytes]]:
         """Return the answer to a request and its buffers; requests are answered in their order."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._call, request, buffers)
 
-    def _call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+    def _call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytes]]:
         self._running = True
         try:
             return self._worker.call(request, buffers)
@@ -179,7 +179,7 @@ class Workers:
 
     async def _convert(
         self, user: str, recipe: Recipe, request: Request, buffers: Sequence[Buffer]
-    ) -> tuple[Answer, list[bytearray]]:
+    ) -> tuple[Answer, list[bytes]]:
         self._converted += 1
         if not recipe.stream:
             return await self._ask(user, request, buffers)
@@ -189,7 +189,7 @@ class Workers:
         """Return the worker of a stream, which is always the same one: it has the state."""
         return self._streams[crc32(stream.encode()) % len(self._streams)]
 
-    async def _ask(self, user: str, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+    async def _ask(self, user: str, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytes]]:
         done = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(user, deque()).append(_Job(request, buffers, done))
         self._pump()
@@ -253,7 +253,7 @@ class Workers:
             stream.close()
 
 
-def _result(result: tuple[Answer, list[bytearray]]) -> tuple[Answer, list[bytearray]]:
+def _result(result: tuple[Answer, list[bytes]]) -> tuple[Answer, list[bytes]]:
     """Return the result of a conversion, or raise its error."""
     if isinstance(result[0], Failed):
         raise RceError.from_info(result[0].error)

@@ -20,6 +20,7 @@ from rce.bench.gateways import SUBPROTOCOL
 from rce.bench.nodes import PACKAGE, Place
 from rce.bench.report import aligned, machine
 from rce.bench.statistics import percentile
+from rce.client.gateways import dial_gateway
 from rce.errors import InvalidRequest, TimedOut
 
 START_TIMEOUT = 60.0  # seconds until both channels are there and have a message
@@ -69,7 +70,7 @@ async def measure(place: Place, seconds: float) -> list[Received]:
     for stream in STREAMS:
         args = f"/{stream.name} {stream.rate} {stream.size}"
         await place.environment.add_node(stream.name, PACKAGE, "stream", args=args)
-    socket = await place.address.dial_gateway("foxglove", place.environment.tag, [SUBPROTOCOL])
+    socket = await dial_gateway(place.address, "foxglove", place.environment.tag, [SUBPROTOCOL])
     async with socket:
         try:
             async with asyncio.timeout(START_TIMEOUT):

@@ -16,6 +16,7 @@ from websockets.typing import Subprotocol
 from rce.bench.floors import Sample
 from rce.bench.nodes import PACKAGE, Place, Probe, retry
 from rce.bench.payloads import IMAGE, IMAGES, ROW, TOPICS, Payload
+from rce.client.gateways import dial_gateway
 from rce.errors import ConversionError, InvalidRequest, TimedOut
 
 QUIET = 1.0  # seconds
@@ -34,7 +35,7 @@ async def rosbridge(place: Place) -> list[Probe]:
         raise InvalidRequest("the route rosbridge needs the address of the platform")
     echoes = " ".join(f"{payload.name}:{payload.kind}" for payload in JSON)
     await place.environment.add_node("rosbridge_echo", PACKAGE, "echo", args=echoes, namespace="rosbridge")
-    socket = await place.address.dial_gateway("rosbridge", place.environment.tag)
+    socket = await dial_gateway(place.address, "rosbridge", place.environment.tag)
     await place.stack.enter_async_context(socket)
     client = RosbridgeClient(socket)
     return [
@@ -59,7 +60,7 @@ async def foxglove(place: Place) -> list[Probe]:
         raise InvalidRequest("the route foxglove needs the address of the platform")
     args = f"{CDR.name}:{CDR.kind}"
     await place.environment.add_node("foxglove_echo", PACKAGE, "echo", args=args, namespace="foxglove")
-    socket = await place.address.dial_gateway("foxglove", place.environment.tag, [SUBPROTOCOL])
+    socket = await dial_gateway(place.address, "foxglove", place.environment.tag, [SUBPROTOCOL])
     await place.stack.enter_async_context(socket)
     sample = await channel_echo(FoxgloveClient(socket), f"/foxglove/{CDR.name}")
     return [Probe(f"foxglove {CDR.name}", "topic", sample, f"r2c {CDR.name}")]

@@ -127,13 +127,12 @@ class Soak:
     async def _vanish(self, name: str) -> None:
         """Break the connection, so that the session lasts until its grace period is over."""
         address = Address(self._url, self._user, name, self._password)
-        socket = await address.dial(await address.locate(), "")
-        await socket.recv()
+        websocket = await address.dial(await address.locate(), "")
+        await websocket.receive()
         added = {"endpointTag": name, "interfaceTag": "in", "interfaceType": "PublisherConverter", "className": TYPE}
-        await socket.send(json.dumps({"type": "CN", "data": {"addInterfaces": [added]}, "id": 1}))
-        await asyncio.wait_for(socket.recv(), TIMEOUT)
-        socket.transport.abort()
-        await socket.wait_closed()
+        await websocket.send(json.dumps({"type": "CN", "data": {"addInterfaces": [added]}, "id": 1}).encode(), True)
+        await asyncio.wait_for(websocket.receive(), TIMEOUT)
+        websocket.abort()
 
     async def _bring_environment(self, name: str) -> None:
         async with self.robot(name) as robot, robot.environment(f"of_{name}", restart="no") as environment:

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import logging
-import socket
 import ssl
 import urllib.error
 import urllib.request
-from collections.abc import Sequence
 from dataclasses import dataclass
 from http.client import HTTPException
-from urllib.parse import quote, urlencode, urlsplit, urlunsplit
+from urllib.parse import urlencode, urlsplit, urlunsplit
 
 import msgspec
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
-from websockets.typing import Subprotocol
+from websockets.exceptions import InvalidURI
 
 from rce.api.entries import entries
 from rce.api.http import is_local, reason_of
-from rce.client.dialing import dial, has_proxy
+from rce.client.dialing import dial, proxy_of
+from rce.client.websocket import Refused, WebSocket, open_websocket
 from rce.errors import (
     MALFORMED,
     AlreadyExists,
@@ -32,14 +28,10 @@ from rce.errors import (
     Unauthorized,
     Unavailable,
 )
-from rce.protocol.assembler import AssemblyLimits
-from rce.protocol.blobs import PART
 from rce.protocol.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
 OPEN_TIMEOUT = 10.0
-WRITE_LIMIT = 64 * 1024
-"""Bytes that may be buffered below the outbox, in the library and in the kernel. Small frames cannot overtake them."""
 
 _ERROR_BY_STATUS: dict[int, type[RceError]] = {
     400: InvalidRequest,
@@ -49,10 +41,6 @@ _ERROR_BY_STATUS: dict[int, type[RceError]] = {
     410: InvalidRequest,
     501: InvalidRequest,
 }
-
-# At DEBUG, websockets logs the request line, which contains the credentials.
-log = logging.getLogger("rce.client.websocket")
-log.setLevel(logging.INFO)
 
 
 @dataclass(frozen=True)
@@ -111,9 +99,10 @@ class Address:
         parts = urlsplit(entry)
         query = urlencode({"userID": self.user, "version": CURRENT_VERSION})
         url = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", query, ""))
-        if patient and not has_proxy(socket_url := "ws" + entry.removeprefix("http")):
+        if patient and proxy_of("ws" + entry.removeprefix("http")) is None:
+            port = parts.port or (443 if parts.scheme == "https" else 80)
             try:
-                (await dial(socket_url, OPEN_TIMEOUT)).close()
+                (await dial(parts.hostname or "", port, OPEN_TIMEOUT)).close()
             except OSError as error:  # also TimeoutError
                 raise Unavailable(f"cannot reach {entry}: {error or 'no answer'}") from None
         body = await asyncio.to_thread(self._get, entry, url)
@@ -138,50 +127,11 @@ class Address:
             raise Unavailable(f"cannot reach {entry}: {reason_of(error)}") from None
 
     @property
-    def _secret(self) -> dict[str, str]:
+    def secret(self) -> dict[str, str]:
+        """The parameter of a request that carries the password or the key."""
         return {"key": self.key} if self.key is not None else {"password": password_digest(self.password or "")}
 
-    async def dial_gateway(
-        self,
-        protocol: str,
-        environment: str,
-        subprotocols: Sequence[Subprotocol] | None = None,
-        options: Sequence[tuple[str, str]] = (),
-    ) -> ClientConnection:
-        """Open a WebSocket of a gateway of the platform, whose messages are those of the protocol.
-
-        Args:
-            protocol: `rosbridge` or `foxglove`.
-            environment: Tag of an environment of `owner`.
-            subprotocols: Subprotocols to offer.
-            options: Options of the gateway, by name.
-
-        Raises:
-            Unavailable: The gateway cannot be reached, or refuses the connection.
-            RceError: The entry refuses the request, for example an unknown user.
-        """
-        endpoint = await self.locate()
-        parts = urlsplit(endpoint)
-        path = "/".join([parts.path.rstrip("/"), protocol, *filter(None, (quote(self.owner), quote(environment)))])
-        query = urlencode([("userID", self.user), *self._secret.items(), *options])
-        uri = urlunsplit((parts.scheme, parts.netloc, path, query, ""))
-        try:
-            return await connect(
-                uri,
-                ssl=(self.ssl or True) if parts.scheme == "wss" else None,
-                subprotocols=subprotocols,
-                proxy=None if is_local(endpoint) else True,
-                compression=None,
-                open_timeout=OPEN_TIMEOUT,
-                max_size=AssemblyLimits().message * 2,
-            )
-        except InvalidStatus as error:
-            text = error.response.body.decode(errors="replace").strip() or error.response.reason_phrase
-            raise Unavailable(f"the gateway refuses the connection: {error.response.status_code} {text}") from None
-        except (OSError, TimeoutError, InvalidHandshake) as error:
-            raise Unavailable(f"cannot reach {endpoint}: {error or 'no answer'}") from None
-
-    async def dial(self, endpoint: str, token: str) -> ClientConnection:
+    async def dial(self, endpoint: str, token: str) -> WebSocket:
         """Open the WebSocket of a Robot endpoint.
 
         Args:
@@ -196,7 +146,7 @@ class Address:
             InvalidRequest: The server rejects the request for another reason.
             Unavailable: The endpoint cannot be reached.
         """
-        query = {"userID": self.user, "robotID": self.robot, **self._secret, "features": ",".join(sorted(FEATURES))}
+        query = {"userID": self.user, "robotID": self.robot, **self.secret, "features": ",".join(sorted(FEATURES))}
         if self.compress:
             query["compress"] = "deflate"
         if token:
@@ -206,34 +156,17 @@ class Address:
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
-            sock = None if not is_local(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
-            connection = await connect(
-                uri,
-                ssl=(self.ssl or True) if parts.scheme == "wss" else None,
-                proxy=True if sock is None else None,
-                sock=sock,
-                compression="deflate" if self.compress else None,
-                open_timeout=OPEN_TIMEOUT,
-                ping_interval=10,
-                close_timeout=2,
-                max_size=AssemblyLimits().message + PART,
-                write_limit=WRITE_LIMIT,
-                logger=log,
+            return await open_websocket(
+                uri, OPEN_TIMEOUT, tls=self.ssl, direct=is_local(endpoint), compress=self.compress
             )
-        except InvalidStatus as error:
-            response = error.response
-            body = bytes(response.body or b"").decode(errors="replace")
-            if response.status_code == 404 and body:
-                raise NotFound(body.strip()[:500], field="owner") from None
-            raise _error_of_status(response.status_code, body or response.reason_phrase) from None
+        except Refused as refusal:
+            raise _error_of(refusal) from None
         except InvalidURI:
             raise Unavailable(
                 f"the entry {self.url} assigned the endpoint {endpoint!r}, which is not a WebSocket URL"
             ) from None
-        except (OSError, TimeoutError, InvalidHandshake) as error:
-            raise Unavailable(f"cannot reach {endpoint}: {error or 'no answer'}") from None
-        _limit_kernel_buffer(connection)
-        return connection
+        except Unavailable as error:
+            raise Unavailable(f"cannot reach {endpoint}: {error}") from None
 
 
 def password_digest(password: str) -> str:
@@ -241,13 +174,11 @@ def password_digest(password: str) -> str:
     return hashlib.sha256(password.encode()).hexdigest()
 
 
+def _error_of(refusal: Refused) -> RceError:
+    if refusal.status == 404 and not refusal.standard:
+        return NotFound(str(refusal).strip()[:500], field="owner")
+    return _error_of_status(refusal.status, str(refusal))
+
+
 def _error_of_status(status: int, reason: str) -> RceError:
     return _ERROR_BY_STATUS.get(status, Unavailable)(reason.strip()[:500] or f"HTTP status {status}")
-
-
-def _limit_kernel_buffer(connection: ClientConnection) -> None:
-    """Limit the unsent bytes in the kernel: the rest stays in the outbox, where small frames can overtake it."""
-    option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
-    sock = connection.transport.get_extra_info("socket")
-    if option is not None and sock is not None:
-        sock.setsockopt(socket.IPPROTO_TCP, option, WRITE_LIMIT)

@@ -13,11 +13,11 @@ from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from typing import NamedTuple, get_args
 
 import msgspec
-from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import ConnectionClosed
+from picows.websockets.exceptions import ConnectionClosed
 
 from rce.client.address import FEATURES_HEADER, Address
 from rce.client.dialing import address_is_gone
+from rce.client.websocket import WebSocket
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
 from rce.net.flight import flight_of
 from rce.net.outbox import Outbox, Priority
@@ -70,18 +70,18 @@ class Connection:
         session: Session status, the first frame of a server with features.
     """
 
-    def __init__(self, socket: ClientConnection, features: frozenset[str], endpoint: str) -> None:
+    def __init__(self, websocket: WebSocket, features: frozenset[str], endpoint: str) -> None:
         self.features = features
         self.endpoint = endpoint
         self.session = Session(features=[])
-        self._socket = socket
+        self._websocket = websocket
         self._assembler = Assembler(time.monotonic, parts="parts" in features)
         self._swept = time.monotonic()
         self._outbox: Outbox[Piece] = Outbox(self._next)
         self._piece = Piece(b"", False)
         self._has_piece = asyncio.Event()
         self._written = asyncio.Event()
-        self._flight = flight_of(socket.transport.get_extra_info("socket"))
+        self._flight = flight_of(websocket.socket)
         self._expected: dict[FrameId, Callable[[RceError | None], None]] = {}
 
     @staticmethod
@@ -97,10 +97,10 @@ class Connection:
             Unavailable: The endpoint cannot be reached or sends no session status.
             RceError: The endpoint refuses the robot; see `Address.dial`.
         """
-        socket = await address.dial(endpoint, token)
-        header = socket.response.headers.get(FEATURES_HEADER) if socket.response is not None else None
+        websocket = await address.dial(endpoint, token)
+        header = websocket.header(FEATURES_HEADER)
         features = FEATURES & {name.strip() for name in (header or "").split(",")}
-        connection = Connection(socket, features, endpoint)
+        connection = Connection(websocket, features, endpoint)
         if header is not None:
             try:
                 connection.session = await connection._receive_session()
@@ -112,7 +112,7 @@ class Connection:
     async def _receive_session(self) -> Session:
         try:
             async with asyncio.timeout(SESSION_TIMEOUT):
-                first = self._decode_text(await self._socket.recv(decode=False))
+                first = self._decode_text(await self._websocket.receive())
         except (TimeoutError, ConnectionClosed) as error:
             raise Unavailable(f"{self.endpoint} sent no session status: {error or 'no answer'}") from None
         if isinstance(first, Status) and isinstance(first.data, Session):
@@ -186,7 +186,7 @@ class Connection:
         sender, watcher = asyncio.create_task(self._send()), asyncio.create_task(self._watch())
         try:
             while True:
-                payload = await self._socket.recv(decode=False)
+                payload = await self._websocket.receive()
                 try:
                     incoming = self._decode(payload)
                 except RceError as error:
@@ -216,12 +216,12 @@ class Connection:
 
     async def close(self) -> None:
         """Close with code 1000, which ends the session."""
-        await self._socket.close()
+        await self._websocket.close()
 
     @property
     def reason(self) -> str:
         """Reason of the close frame, or the close code if there is none."""
-        return self._socket.close_reason or f"code {self._socket.close_code or 1006}"
+        return self._websocket.reason
 
     def _pieces(self, text: bytes, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         yield Piece(text, True)
@@ -238,7 +238,7 @@ class Connection:
             await self._has_piece.wait()
             self._has_piece.clear()
             try:
-                await self._socket.send(self._piece.payload, text=self._piece.text)
+                await self._websocket.send(self._piece.payload, self._piece.text)
                 written = len(self._piece.payload)
                 while seconds := self._flight.wait(written):  # the kernel does not tell when there is room
                     written = 0
@@ -247,18 +247,17 @@ class Connection:
             except ConnectionClosed:
                 return
             except Exception:
-                self._socket.transport.abort()  # without its sender the connection is of no use: reconnect
+                self._websocket.abort()  # without its sender the connection is of no use: reconnect
                 raise
             self._written.set()
 
     async def _watch(self) -> None:
         """Drop the connection when its line is dead, so that the session reconnects."""
-        sock = self._socket.transport.get_extra_info("socket")
         while True:
             await asyncio.sleep(LOOK)
-            if self._flight.stalled() or address_is_gone(sock):
+            if self._flight.stalled() or address_is_gone(self._websocket.socket):
                 log.info("the line to %s is dead: connecting again", self.endpoint)
-                self._socket.transport.abort()
+                self._websocket.abort()
                 return
 
     def _decode(self, payload: bytes) -> Incoming | None:

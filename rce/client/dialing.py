@@ -20,34 +20,37 @@ _AWAY = {errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.EHOSTDOWN,
 Attempt = asyncio.Task[socket.socket | None]
 
 
-def has_proxy(uri: str) -> bool:
-    """Return whether a proxy is configured for a WebSocket URI."""
-    return get_proxy(parse_uri(uri)) is not None
+def proxy_of(uri: str) -> str | None:
+    """Return the URL of the proxy that is configured for a WebSocket URI, if there is one.
+
+    Raises:
+        InvalidURI: It is none.
+    """
+    return get_proxy(parse_uri(uri))
 
 
-async def dial(uri: str, seconds: float) -> socket.socket:
-    """Connect to the host of a WebSocket URI, and begin another attempt every INTERVAL seconds until one succeeds.
+async def dial(host: str, port: int, seconds: float) -> socket.socket:
+    """Connect to a host, and begin another attempt every INTERVAL seconds until one succeeds.
 
     So the connection is open about a round trip after the line is back.
 
     Args:
-        uri: The URI.
+        host: Name or address of the host.
+        port: The port.
         seconds: Time for all attempts.
 
     Returns:
         The connected socket, which does not block.
 
     Raises:
-        InvalidURI: It is none.
         TimeoutError: None succeeded in time.
         OSError: The other side refused the connection.
     """
-    where = parse_uri(uri)
     attempts: set[Attempt] = set()
     async with asyncio.timeout(seconds):
         try:
             while True:
-                attempts.add(asyncio.create_task(_attempt(where.host, where.port)))
+                attempts.add(asyncio.create_task(_attempt(host, port)))
                 async for ended in _ended_within(attempts, INTERVAL):
                     attempts.discard(ended)
                     if (connected := ended.result()) is not None:

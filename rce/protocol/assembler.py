@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from typing import NamedTuple
 
 from rce.errors import InvalidRequest, LimitExceeded, RceError, TimedOut
 from rce.protocol.blobs import ID_SIZE, POSITION, Buffer, find_references
+from rce.protocol.buffers import uninitialized
 from rce.protocol.messages import Frame
 
 _id = re.compile(rb"[0-9a-fA-F]{32}")
@@ -52,28 +52,42 @@ class AssemblyResult(NamedTuple):
     dropped: Sequence[Dropped] = ()
 
 
+class _Part(NamedTuple):
+    """Part of a blob: its id, offset, and length of all of its fragments, and the length of the whole blob."""
+
+    name: str
+    offset: int
+    total: int
+    length: int
+    content: Sequence[memoryview]
+
+
 class _Blob:
-    """A blob of `size` bytes, of which the first `filled` have come; parts are copied as they come."""
+    """A blob of `size` bytes, of which the first `filled` have come.
+
+    Its parts are copied into their place as they come. The memory of the rest is not touched before: a part may
+    announce more than ever follows.
+    """
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.filled = 0
-        self._only: Buffer | None = None  # the only part of a blob is not copied
-        self._file = BytesIO()  # `getvalue` does not copy
+        self.content: Buffer = b""
+        self._rest: memoryview | None = None  # where the next fragment goes
 
     @property
     def complete(self) -> bool:
         return self.filled == self.size
 
-    def add(self, part: memoryview) -> None:
-        self.filled += len(part)
-        if len(part) == self.size:
-            self._only = part
+    def add(self, fragment: memoryview) -> None:
+        if len(fragment) == self.size:  # all of it, which is not copied
+            self.content = fragment
         else:
-            self._file.write(part)
-
-    def whole(self) -> Buffer:
-        return self._file.getvalue() if self._only is None else self._only
+            if self._rest is None:
+                self.content, self._rest = uninitialized(self.size)
+            self._rest[: len(fragment)] = fragment
+            self._rest = self._rest[len(fragment) :]
+        self.filled += len(fragment)
 
 
 @dataclass(slots=True, eq=False)
@@ -88,7 +102,7 @@ class _Group:
     def assembled(self) -> Assembled | None:
         if self.frame is None or not all(blob is not None and blob.complete for blob in self.blobs.values()):
             return None
-        return Assembled(self.frame, {name: blob.whole() for name, blob in self.blobs.items() if blob is not None})
+        return Assembled(self.frame, {name: blob.content for name, blob in self.blobs.items() if blob is not None})
 
 
 class Assembler:
@@ -139,16 +153,16 @@ class Assembler:
             self._ignored.pop(name, None)
         return self._settle(group)
 
-    def add_blob(self, payload: Buffer) -> AssemblyResult:
-        """Add a binary frame.
+    def add_blob(self, *fragments: Buffer) -> AssemblyResult:
+        """Add a binary frame, whole or in the fragments in which it came, which need not be joined first.
 
         Raises:
             InvalidRequest: The frame is malformed, or its part is out of order.
         """
-        name, offset, total, part = self._split(payload)
+        name, offset, total, length, content = self._split(fragments)
         group = self._group_of.get(name)
         if group is None and name in self._ignored:
-            if offset + len(part) == total:
+            if offset + length == total:
                 del self._ignored[name]
             return AssemblyResult()
         before = group.blobs[name] if group is not None else None
@@ -162,7 +176,8 @@ class Assembler:
             group.size += total - (before.size if before is not None else 0)
         if group.size <= self._limits.message:
             blob = before if before is not None and offset else _Blob(total)
-            blob.add(part)
+            for fragment in content:
+                blob.add(fragment)
             group.blobs[name] = blob
         return self._settle(group)
 
@@ -172,20 +187,25 @@ class Assembler:
         old = [group for group in self._groups if group.used_at <= oldest]
         return [self._drop(group, TimedOut(f"incomplete for {self._limits.age:g} s")) for group in old]
 
-    def _split(self, payload: Buffer) -> tuple[str, int, int, memoryview]:
-        view = memoryview(payload)
-        head = ID_SIZE + (POSITION.size if self._parts else 0)
-        if len(view) < head or not _id.fullmatch(view[:ID_SIZE]):
-            raise InvalidRequest(f"a binary frame must begin with an id of 32 hex digits (a head of {head} bytes)")
-        name, part = str(view[:ID_SIZE], "ascii"), view[head:]
+    def _split(self, fragments: Sequence[Buffer]) -> _Part:
+        size = ID_SIZE + (POSITION.size if self._parts else 0)
+        if len(fragments) > 1 and len(fragments[0]) < size:
+            fragments = (b"".join(fragments),)
+        views = [memoryview(fragment) for fragment in fragments]
+        first = views[0]
+        if len(first) < size or not _id.fullmatch(first[:ID_SIZE]):
+            raise InvalidRequest(f"a binary frame must begin with an id of 32 hex digits (a head of {size} bytes)")
+        content = [first[size:], *views[1:]]
+        length = sum(map(len, content))
+        name = str(first[:ID_SIZE], "ascii")
         if not self._parts:
-            return name, 0, len(part), part
-        offset, total = POSITION.unpack_from(view, ID_SIZE)
-        if offset + len(part) > total or (total and not len(part)):
+            return _Part(name, 0, length, length, content)
+        offset, total = POSITION.unpack_from(first, ID_SIZE)
+        if offset + length > total or (total and not length):
             raise InvalidRequest(
-                f"blob {name}: a part of {len(part)} bytes at offset {offset} does not fit a blob of {total} bytes"
+                f"blob {name}: a part of {length} bytes at offset {offset} does not fit a blob of {total} bytes"
             )
-        return name, offset, total, part
+        return _Part(name, offset, total, length, content)
 
     def _settle(self, group: _Group) -> AssemblyResult:
         """Return a complete message, or keep the group as the most recently used and make room for it."""

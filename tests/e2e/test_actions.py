@@ -85,7 +85,7 @@ async def test_robot_that_was_offline_gets_its_result(world: World) -> None:
     goal = await world.client.send_goal({"order": ENDLESS}, timeout=WAIT)
     assert world.robot.connection is not None
     events = world.robot.events()
-    world.robot.connection._socket.transport.abort()
+    world.robot.connection._websocket.abort()
     while not isinstance(await events.get(WAIT), Reconnected):
         pass
     await goal.cancel(WAIT)

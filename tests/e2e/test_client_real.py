@@ -30,7 +30,7 @@ class RealWorld(Platform):
     def break_socket(self, robot: str) -> None:
         connection = self._robots[robot].connection
         assert connection is not None
-        connection._socket.transport.abort()
+        connection._websocket.abort()
 
     async def end_session(self, robot: str) -> None:
         """Break the connection and forget the token, so that the robot cannot resume its session."""

@@ -49,7 +49,7 @@ async def test_connection_of_a_robot_breaks(killed: RealPlatform, both: tuple[Tr
     victim, calm = both
     since, events = time.monotonic(), victim.robot.events()
     assert victim.robot.connection is not None
-    victim.robot.connection._socket.transport.abort()
+    victim.robot.connection._websocket.abort()
     assert await next_event(events, Reconnected) == Reconnected(resumed=True)
     await victim.wait_for_round_trip()
 

@@ -122,10 +122,10 @@ class FoxgloveClient:
         except RceError as error:
             self.report(error)
 
-    def binary(self, payload: bytes) -> None:
+    def binary(self, *fragments: bytes) -> None:
         """Handle a message on a channel, or a call."""
         try:
-            message = messages.decode_binary(payload)
+            message = messages.decode_binary(b"".join(fragments))
             if isinstance(message, ClientMessage):
                 self._publications.publish(message)
             elif isinstance(message, PlaybackCommand):

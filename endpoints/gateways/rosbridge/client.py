@@ -116,7 +116,7 @@ class RosbridgeClient:
             return
         self._handle(operation)
 
-    def binary(self, payload: bytes) -> None:
+    def binary(self, *fragments: bytes) -> None:
         """Refuse a binary message: rosbridge sends binary data to clients only."""
         self.report(InvalidRequest("binary messages are not understood: send operations as JSON text"))
 

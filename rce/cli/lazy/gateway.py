@@ -18,6 +18,7 @@ from websockets.typing import Subprotocol
 
 from rce.cli.session import ConsoleSession
 from rce.client.address import Address
+from rce.client.gateways import dial_gateway
 from rce.errors import RceError, port_unavailable
 
 HOST = "127.0.0.1"
@@ -92,11 +93,11 @@ async def run(session: ConsoleSession, args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stopped.set)
     async with AsyncExitStack() as stack:
-        tried = await address.dial_gateway("rosbridge", args.environment)  # so that a wrong name is reported now
+        tried = await dial_gateway(address, "rosbridge", args.environment)  # so that a wrong name is reported now
         await tried.close()
         ports = {"rosbridge": args.rosbridge_port, "foxglove": args.foxglove_port}
         for protocol, wanted in ports.items():
-            dial = partial(address.dial_gateway, protocol, args.environment)
+            dial = partial(dial_gateway, address, protocol, args.environment)
             port = await stack.enter_async_context(opened(dial, wanted, SUBPROTOCOLS[protocol]))
             print(f"{protocol}: ws://{HOST}:{port}", flush=True)
         await stopped.wait()

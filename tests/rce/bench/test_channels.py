@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from contextlib import AsyncExitStack
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
@@ -13,6 +13,7 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from rce.bench import channels
 from rce.bench.channels import CONTENT, MESSAGE, STREAMS, Received, measure
+from rce.client.address import Address
 from rce.errors import InvalidRequest
 from tests.support.bench import fake_place
 
@@ -33,20 +34,18 @@ async def show(client: ServerConnection) -> None:
         await (await client.ping())  # the client has read them
 
 
-class Gateway(NamedTuple):
-    port: int
-
-    async def dial_gateway(self, *_: Any) -> ClientConnection:
-        return await connect(f"ws://127.0.0.1:{self.port}")
-
-
 async def test_messages_and_gaps_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(channels, "SETTLED", 0.0)
     monkeypatch.setattr(channels, "START_TIMEOUT", 5.0)
     async with serve(show, "127.0.0.1", 0) as server, AsyncExitStack() as stack:
         port = next(iter(server.sockets)).getsockname()[1]
         place, *_ = fake_place(stack)
-        seen = await measure(place._replace(address=Gateway(port)), 0.5)  # type: ignore[arg-type]
+
+        async def dial(*_: Any) -> ClientConnection:
+            return await connect(f"ws://127.0.0.1:{port}")
+
+        monkeypatch.setattr(channels, "dial_gateway", dial)
+        seen = await measure(place._replace(address=Address("http://127.0.0.1", "testUser", "a", "testUser")), 0.5)
     assert [each.stream for each in seen] == list(STREAMS)
     for each in seen:
         assert each.missing == len(each.delays) - 1

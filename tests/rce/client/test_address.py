@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from contextlib import suppress
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -102,17 +101,3 @@ async def test_credentials_are_not_logged(fake: FakePlatform, caplog: pytest.Log
     assert PASSWORD_HASH not in "".join(
         record.getMessage() for record in caplog.records if not record.name.startswith("websockets.server")
     )
-
-
-async def test_gateway_is_dialled_at_its_path_with_the_credentials(fake: FakePlatform) -> None:
-    address = Address(fake.url, "testUser", "", key=KEY, owner="ann")
-    with suppress(Unavailable):  # the fake has no gateways
-        await (await address.dial_gateway("rosbridge", "brain")).close()
-    path = urlsplit(fake.request_paths[-1])
-    assert path.path == "/rosbridge/ann/brain"
-    assert parse_qs(path.query) == {"userID": ["testUser"], "key": [KEY]}
-
-
-async def test_refusal_of_a_gateway_has_its_reason() -> None:
-    with pytest.raises(Unavailable, match="cannot reach"):
-        await Address(UNUSED, "testUser", "", key=KEY).dial_gateway("rosbridge", "brain")

@@ -14,8 +14,6 @@ from rce.client import dialing
 from rce.client.dialing import address_is_gone, dial
 from tests.support.hand_turned import HandTurnedLoop
 
-URI = "ws://10.9.9.9:80/"
-
 
 @pytest.fixture
 def connect(hand: HandTurnedLoop, monkeypatch: pytest.MonkeyPatch) -> list[asyncio.Future[socket.socket]]:
@@ -48,7 +46,7 @@ def test_attempts_are_repeated_until_one_succeeds(
     hand: HandTurnedLoop, connect: list[asyncio.Future[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     resolved(hand, monkeypatch)
-    task = begin(hand, lambda: dial(URI, 10.0))
+    task = begin(hand, lambda: dial("robot", 9010, 10.0))
     for _ in range(3):
         hand.turn(dialing.INTERVAL)
     assert len(connect) == 4
@@ -65,7 +63,7 @@ def test_refusal_ends_all_attempts(
     hand: HandTurnedLoop, connect: list[asyncio.Future[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     resolved(hand, monkeypatch)
-    task = begin(hand, lambda: dial(URI, 10.0))
+    task = begin(hand, lambda: dial("robot", 9010, 10.0))
     connect[0].set_exception(ConnectionRefusedError(errno.ECONNREFUSED, "refused"))
     hand.settle()
     assert isinstance(task.exception(), ConnectionRefusedError)
@@ -75,7 +73,7 @@ def test_attempts_continue_while_the_network_is_away(
     hand: HandTurnedLoop, connect: list[asyncio.Future[socket.socket]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     resolved(hand, monkeypatch)
-    task = begin(hand, lambda: dial(URI, 10.0))
+    task = begin(hand, lambda: dial("robot", 9010, 10.0))
     connect[0].set_exception(OSError(errno.ENETUNREACH, "unreachable"))
     hand.turn(dialing.INTERVAL)
     assert not task.done()
@@ -100,6 +98,6 @@ def test_lost_address_is_noticed() -> None:
 async def test_small_frames_are_not_delayed() -> None:
     """A message with bytes is two frames: with Nagle's algorithm the second one would wait for an acknowledgement."""
     with socket.create_server(("127.0.0.1", 0)) as server:
-        sock = await dial(f"ws://127.0.0.1:{server.getsockname()[1]}/", 10.0)
+        sock = await dial("127.0.0.1", server.getsockname()[1], 10.0)
         with sock:
             assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
