@@ -104,7 +104,7 @@ class Address:
             try:
                 (await dial(parts.hostname or "", port, OPEN_TIMEOUT)).close()
             except OSError as error:  # also TimeoutError
-                raise Unavailable(f"cannot reach {entry}: {error or 'no answer'}") from None
+                raise Unavailable(f"cannot reach {entry}: {str(error) or 'no answer'}") from None
         body = await asyncio.to_thread(self._get, entry, url)
         try:
             return msgspec.json.decode(body, type=dict[str, str])["url"]

@@ -114,7 +114,7 @@ class Connection:
             async with asyncio.timeout(SESSION_TIMEOUT):
                 first = self._decode_text(await self._websocket.receive())
         except (TimeoutError, ConnectionClosed) as error:
-            raise Unavailable(f"{self.endpoint} sent no session status: {error or 'no answer'}") from None
+            raise Unavailable(f"{self.endpoint} sent no session status: {str(error) or 'no answer'}") from None
         if isinstance(first, Status) and isinstance(first.data, Session):
             return first.data
         raise Unavailable(f"{self.endpoint} grants features, but its first frame is not a session status")

@@ -54,4 +54,4 @@ async def dial_gateway(
         text = error.response.body.decode(errors="replace").strip() or error.response.reason_phrase
         raise Unavailable(f"the gateway refuses the connection: {error.response.status_code} {text}") from None
     except (OSError, TimeoutError, InvalidHandshake) as error:
-        raise Unavailable(f"cannot reach {endpoint}: {error or 'no answer'}") from None
+        raise Unavailable(f"cannot reach {endpoint}: {str(error) or 'no answer'}") from None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from websockets.asyncio.server import Request, Response, ServerConnection, serve
 
 from rce.client import Disconnected, Reconnected, connection
-from rce.errors import InvalidRequest
+from rce.client.address import Address
+from rce.errors import InvalidRequest, Unavailable
 from tests.support.client_contract import STRING, WAIT, until
 from tests.support.fake_platform import FakePlatform
 
@@ -29,6 +31,17 @@ async def test_malformed_frame_is_an_event_and_does_not_end_the_connection(
         await fake.send_raw("a", payload)
         assert isinstance(await events.get(10), InvalidRequest)
         await a.create_environment("brain")
+
+
+async def test_server_that_grants_features_and_sends_nothing_is_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
+    def grant(socket: ServerConnection, request: Request, response: Response) -> None:
+        response.headers["RCE-Features"] = "ack"
+
+    monkeypatch.setattr(connection, "SESSION_TIMEOUT", 0.01)
+    async with serve(lambda socket: socket.wait_closed(), "127.0.0.1", 0, process_response=grant) as server:
+        endpoint = f"ws://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}/"
+        with pytest.raises(Unavailable, match="sent no session status: no answer"):
+            await connection.Connection.open(Address("http://127.0.0.1:1/", "u", "a", "p"), endpoint, "")
 
 
 async def test_small_frames_overtake_the_parts_of_a_large_blob(fake: FakePlatform) -> None:

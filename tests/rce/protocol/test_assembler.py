@@ -86,6 +86,19 @@ def test_parts_of_several_blobs_may_be_interleaved(first: str) -> None:
     assert content(outcomes[-1].complete) == blobs
 
 
+@pytest.mark.parametrize("size", [1, 7, 39, 40, 41, 1000])
+@pytest.mark.parametrize("parts", [False, True])
+def test_fragments_of_a_frame_may_be_cut_anywhere(size: int, parts: bool) -> None:
+    assembler = Assembler(Clock(), parts=parts)
+    value = random.randbytes(700)
+    frames = (
+        [part(IDS[0], 0, 700, value[:300]), part(IDS[0], 300, 700, value[300:])] if parts else [blob(IDS[0], value)]
+    )
+    for each in frames:
+        assembler.add_blob(*(each[start : start + size] for start in range(0, len(each), size)))
+    assert content(assembler.add_frame(frame(IDS[0])).complete) == {IDS[0]: value}
+
+
 def test_part_out_of_order_is_refused_and_the_blob_may_be_sent_again() -> None:
     assembler = Assembler(Clock(), parts=True)
     assembler.add_frame(frame(IDS[0]))
