@@ -96,7 +96,7 @@ async def open_websocket(
 
     Args:
         uri: Its URI.
-        seconds: Time for all of it.
+        seconds: Time for the connection to the server or the proxy, and for the rest.
         tls: TLS context for `wss` in place of the system's certificates.
         direct: Use no proxy.
         compress: Offer to compress messages (permessage-deflate).
@@ -114,10 +114,11 @@ async def open_websocket(
         nonlocal sock
         sock = await dial(str(host.host), int(host.port), seconds)
         _limit_kernel_buffer(sock)
+        limit.reschedule(asyncio.get_running_loop().time() + seconds)  # the line may have come back just now
         return sock
 
     try:
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(seconds) as limit:
             connection = await connect(
                 uri,
                 ssl=tls,
