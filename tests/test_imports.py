@@ -23,6 +23,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 ONLY_IN: dict[str, tuple[str, ...]] = {
     "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
     "kubernetes_asyncio": ("containers/kubernetes/",),
+    "picows": ("rce/client/websocket.py",),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
     "cv2": (
         "converters/",

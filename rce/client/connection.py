@@ -13,11 +13,10 @@ from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from typing import NamedTuple, get_args
 
 import msgspec
-from picows.websockets.exceptions import ConnectionClosed
 
 from rce.client.address import FEATURES_HEADER, Address
 from rce.client.dialing import address_is_gone
-from rce.client.websocket import WebSocket
+from rce.client.websocket import ConnectionClosed, WebSocket
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
 from rce.net.flight import flight_of
 from rce.net.outbox import Outbox, Priority

@@ -24,7 +24,7 @@ def proxy_of(uri: str) -> str | None:
     """Return the URL of the proxy that is configured for a WebSocket URI, if there is one.
 
     Raises:
-        InvalidURI: It is none.
+        InvalidURI: The URI is not that of a WebSocket.
     """
     return get_proxy(parse_uri(uri))
 

@@ -1,4 +1,4 @@
-"""WebSocket of a robot, on picows, which takes half as long as `websockets` to receive large messages."""
+"""WebSocket of a robot, on picows, which receives large messages in 40 % less time than `websockets`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import suppress
 from picows import WSInvalidStatusError
 from picows.url import WSParsedURL
 from picows.websockets.asyncio.client import ClientConnection, connect
-from picows.websockets.exceptions import InvalidHandshake, InvalidStatus
+from picows.websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from python_socks import ProxyError
 
 from rce.client.dialing import dial, proxy_of
@@ -19,8 +19,12 @@ from rce.errors import Unavailable
 from rce.protocol.assembler import AssemblyLimits
 from rce.protocol.blobs import PART
 
+__all__ = ["ConnectionClosed", "Refused", "WebSocket", "open_websocket"]
+
 WRITE_LIMIT = 64 * 1024
 """Bytes that may be buffered below the outbox, in the library and in the kernel. Small frames cannot overtake them."""
+
+HUNG_UP = "the connection was closed during the handshake"
 
 # picows logs each connection at INFO, and at its own level below DEBUG the request line with the credentials.
 log = logging.getLogger("rce.client.websocket")
@@ -96,13 +100,13 @@ async def open_websocket(
 
     Args:
         uri: Its URI.
-        seconds: Time for the connection to the server or the proxy, and for the rest.
+        seconds: Time until the server or the proxy accepts a connection, and again for proxy, TLS and handshake.
         tls: TLS context for `wss` in place of the system's certificates.
         direct: Use no proxy.
         compress: Offer to compress messages (permessage-deflate).
 
     Raises:
-        InvalidURI: The URI is none of a WebSocket.
+        InvalidURI: The URI is not that of a WebSocket.
         Refused: The server refuses the handshake.
         Unavailable: The server cannot be reached.
     """
@@ -135,13 +139,14 @@ async def open_websocket(
     except InvalidStatus as error:
         raise _refusal(error) from None
     except AssertionError:  # picows asserts that the server does not hang up during the handshake
-        raise Unavailable("the connection was closed during the handshake") from None
+        raise Unavailable(HUNG_UP) from None
     except (OSError, TimeoutError, ProxyError, InvalidHandshake) as error:
         raise Unavailable(str(error) or "no answer") from None
     finally:
         if connection is None and sock is not None:
             _break(sock)
-    assert sock is not None
+    if connection is None or sock is None:  # it did, and Python runs without assertions
+        raise Unavailable(HUNG_UP)
     return WebSocket(connection, sock)
 
 

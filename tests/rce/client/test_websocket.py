@@ -8,11 +8,10 @@ from asyncio import StreamReader, StreamWriter
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
-from picows.websockets.exceptions import ConnectionClosed
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import InvalidURI
 
-from rce.client.websocket import Refused, open_websocket
+from rce.client.websocket import ConnectionClosed, Refused, open_websocket
 from rce.errors import Unavailable
 
 WAIT = 10.0
