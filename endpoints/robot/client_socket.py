@@ -14,7 +14,7 @@ from twisted.logger import Logger
 
 from endpoints.data.turns import SLICE, Turns
 from endpoints.robot.client import Choose, Client
-from endpoints.robot.framing import first_message, framed
+from endpoints.robot.framing import first_message, framed_all
 from endpoints.robot.handshake import refusal_status, wants_close_code
 from endpoints.robot.session import Piece
 from rce.errors import RceError
@@ -38,12 +38,6 @@ log = Logger()
 def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     offer = next((offer for offer in offers if isinstance(offer, PerMessageDeflateOffer)), None)
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
-
-
-def _framed(piece: Piece) -> Sequence[Buffer]:
-    if len(piece) == 1:
-        return framed(piece[0])
-    return [part for frame in piece for part in framed(frame)]
 
 
 class ClientSocket(WebSocketServerProtocol):
@@ -282,7 +276,7 @@ class ClientSocket(WebSocketServerProtocol):
         """Send the messages of a piece; return True if there is room for more."""
         if self.state != self.STATE_OPEN or self._writer is None:
             return False
-        buffers, written = _framed(piece), True
+        buffers, written = framed_all(piece), True
         if self._perMessageCompress is not None:
             for frame in piece:
                 binary = isinstance(frame, BinaryFrame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from msgspec import Struct
 from websockets.speedups import apply_mask
 
@@ -76,3 +78,10 @@ def framed(frame: Buffer | BinaryFrame | TextFrame) -> tuple[Buffer, Buffer]:
     else:
         begin = bytes((kind, VERY_LONG)) + size.to_bytes(8)
     return begin + head, data
+
+
+def framed_all(piece: Sequence[Buffer | BinaryFrame | TextFrame]) -> Sequence[Buffer]:
+    """Return the frames of several messages as the buffers to write one after the other."""
+    if len(piece) == 1:
+        return framed(piece[0])
+    return [part for frame in piece for part in framed(frame)]
