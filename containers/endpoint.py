@@ -18,7 +18,7 @@ from rce.protocol.slots import MB
 # for each process; it has no size limit of its own.
 HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 128 * MB
 INODES = 50_000  # of each file system in memory
-OPEN_FILES = 4096
+OPEN_FILES = 16_384  # of a process; the endpoint needs two for each subscription
 LOG_SIZE = "2m"
 USER = "rce"  # name for programs that ask for one; the image knows no user with the id of an environment
 # The kernel limits some resources for each user of the host, such as inotify instances and pages of pipes. So each user

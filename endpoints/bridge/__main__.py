@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import os
 import sys
 from pathlib import Path
@@ -50,10 +49,9 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     from endpoints.bridge.local_ros import LocalRos
     from endpoints.bridge.metrics import serve_metrics
     from endpoints.bridge.requests import RequestServer
-    from endpoints.environment.ros import RosThread
+    from endpoints.environment.ros import Ros
 
-    ros = RosThread(asyncio.get_running_loop(), NODE)
-    await ros.start()
+    ros = Ros(NODE)
     local = LocalRos(ros, [*typesupport, *_system_prefixes(), Path(sys.prefix)])
     actions = Actions(config, local)
     requests = RequestServer(config.requests, actions.perform)
@@ -68,7 +66,7 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
         requests.close()
         await actions.close()
         local.close()
-        await ros.stop()
+        ros.close()
 
 
 def _system_prefixes() -> list[Path]:

@@ -14,7 +14,7 @@ from endpoints.data.sink import Sink
 from endpoints.data.traffic import TrafficTotals
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosContext, RosInterface
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.process.metrics import Family
@@ -37,7 +37,7 @@ class CloudLink(Sink):
 class LocalRos:
     """Interfaces in the robot's own ROS, of the same kinds as in environments, each with one peer."""
 
-    def __init__(self, ros: RosThread, prefixes: Sequence[Path]) -> None:
+    def __init__(self, ros: Ros, prefixes: Sequence[Path]) -> None:
         self._definitions = InstalledTypes(prefixes)
         self._context = RosContext(ros, HopRecorder(), self._definitions, self._ignore_report)
         self._interfaces: set[RosInterface] = set()

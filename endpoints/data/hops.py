@@ -35,7 +35,7 @@ class _Trace:
 
 
 class HopRecorder:
-    """Records the hops of all messages of one endpoint. The ROS thread may call `delivered` only."""
+    """Records the hops of all messages of one endpoint."""
 
     def __init__(self) -> None:
         self._to_link, self._from_link = _durations.labels("to_link"), _durations.labels("from_link")

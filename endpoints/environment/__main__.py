@@ -32,9 +32,8 @@ from rce.process.host import host_identity
 from rce.process.settings import load_or_exit
 
 if TYPE_CHECKING:
-    from endpoints.environment.ros import RosThread
+    from endpoints.environment.ros import Ros
 
-SWITCH_INTERVAL = 0.0005  # seconds after which the asyncio loop and the ROS thread hand the GIL to each other
 POLL_INTERVAL = 0.02  # seconds
 
 log = Logger()
@@ -43,13 +42,13 @@ log = Logger()
 class Endpoint:
     """The program: an environment and its connection to the Master."""
 
-    def __init__(self, settings: Settings, spare: Spare | None = None, ros: RosThread | None = None) -> None:
+    def __init__(self, settings: Settings, spare: Spare | None = None, ros: Ros | None = None) -> None:
         """Prepare for an environment.
 
         Args:
             settings: Its settings.
             spare: Interpreter for its first node, if one waits.
-            ros: The ROS thread, if it has joined the ROS domain already.
+            ros: The ROS node, if it has joined the ROS domain already.
         """
         self._settings = settings
         self._spare = spare or Spare()
@@ -63,15 +62,13 @@ class Endpoint:
         """Run until cancelled, or until the Master refuses this endpoint."""
         # These load ROS 2, which needs the variables that `process_environment.prepare` has set.
         from endpoints.environment.endpoint import Environment
-        from endpoints.environment.ros import RosThread
+        from endpoints.environment.ros import Ros
 
         tls = load_tls(self._settings.tls)
         port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
         await port.listen(socket, offer=self._settings.listener)
-        ros = self._ros or RosThread(asyncio.get_running_loop())
-        if self._ros is None:
-            await ros.start()
+        ros = self._ros or Ros()
         of_user = OutputLog(self._settings.data_dir / "environment.log")
         whole = OutputLog(self._settings.data_dir / "internal.log")
         logs.add_text_observer(lambda line: of_user.write(line.encode()), "endpoints.environment.")
@@ -129,7 +126,6 @@ def main() -> int:
     os.environ.pop("RCE_TOKEN", None)  # so that nodes do not inherit it
     _wait_for_control_socket(settings.master)
     process_environment.prepare(settings)
-    sys.setswitchinterval(SWITCH_INTERVAL)
 
     def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
         return Endpoint(settings).run(reactor)

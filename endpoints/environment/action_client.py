@@ -45,8 +45,7 @@ class ActionClientInterface(RosInterface):
 
     def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
         super().__init__(spec, context)
-        self._goals = Goals(self, self._start, lambda id: self._ros.post(lambda: self._cancel(id)))
-        # The ROS thread owns these:
+        self._goals = Goals(self, self._start, self._cancel)
         self._servers: dict[str, frozenset[bytes]] = {}  # of goals that were accepted: who may have accepted them
         self._results: dict[str, ServiceCall] = {}
         self._status = b""  # the newest status of the server's goals
@@ -54,7 +53,7 @@ class ActionClientInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entities."""
         kind = action_class(self.spec.type, self._context.definitions)
-        await self._create(lambda: self._create_entities(kind))
+        self._create(lambda: self._create_entities(kind))
 
     def _create_entities(self, kind: type[Any]) -> None:
         ros, impl, action = self._ros, kind.Impl, self.spec.addr
@@ -82,12 +81,27 @@ class ActionClientInterface(RosInterface):
 
     def tick(self, now: float) -> None:
         """End calls that have timed out, and the goals of servers that are gone."""
-        self._ros.post(lambda: self._check(now))
+        self._send_goal.expire(now)
+        self._cancel_goal.expire(now)
+        present = self._present_servers() if self._servers else frozenset()
+        for id, servers in list(self._servers.items()):
+            if not servers:
+                self._servers[id] = present
+            elif not servers & present:
+                self._forget(id)
+                self._fail(id, Lost(f"{self._label}: the server is gone, and its goal is aborted"))
+
+        for id in self._overdue(now)[:MAX_IN_FLIGHT]:
+            self._get_result.forget(self._results[id])
+            self._request_result(id)
 
     def close(self) -> None:
         """Destroy the ROS entities. Goals go on in the server."""
         self._goals.close()
-        self._ros.post(self._destroy)
+        for caller in (self._send_goal, self._get_result, self._cancel_goal):
+            caller.destroy()
+        for topic in (self._feedback, self._statuses):
+            topic.destroy()
 
     def _start(self, message: Message) -> None:
         call = ServiceCall(
@@ -95,18 +109,16 @@ class ActionClientInterface(RosInterface):
             partial(self._goal_answered, message.msg_id),
             lambda: self.hops.delivered(self.id, message),
         )
-        self._ros.post(lambda: self._send_goal.call(call))
-
-    # in the ROS thread
+        self._send_goal.call(call)
 
     def _goal_answered(self, id: str, answer: bytes | RceError) -> None:
         if isinstance(answer, RceError):
             self._fail(id, answer)
         elif not answer[4]:
-            self._ros.deliver(lambda: self._goals.answer(id, Phase.REJECTED))
+            self._goals.answer(id, Phase.REJECTED)
         else:
             self._servers[id] = self._present_servers()
-            self._ros.deliver(lambda: self._goals.answer(id, Phase.ACCEPTED))
+            self._goals.answer(id, Phase.ACCEPTED)
             self._request_result(id)
 
     def _request_result(self, id: str) -> None:
@@ -116,7 +128,7 @@ class ActionClientInterface(RosInterface):
     def _received_feedback(self, payload: bytes) -> None:
         id, feedback = without_goal_id(payload)
         if id in self._goals:  # not of another client
-            self._ros.deliver(lambda: self._goals.answer(id, Phase.FEEDBACK, feedback))
+            self._goals.answer(id, Phase.FEEDBACK, feedback)
 
     def _received_status(self, payload: bytes) -> None:
         self._status = payload
@@ -133,7 +145,7 @@ class ActionClientInterface(RosInterface):
             self._fail(id, NotFound(f"{self._label}: the server does not know the goal any more"))
             return
         result = serialize_message(response.result)
-        self._ros.deliver(lambda: self._goals.answer(id, phase, result))
+        self._goals.answer(id, phase, result)
 
     def _cancel(self, id: str) -> None:
         # A time of 0 means: this goal only.
@@ -144,26 +156,11 @@ class ActionClientInterface(RosInterface):
         if not isinstance(answer, RceError):
             response = deserialize_message(answer, CancelGoal.Response)
             if not response.return_code and response.goals_canceling:
-                self._ros.deliver(lambda: self._goals.answer(id, Phase.CANCEL))
+                self._goals.answer(id, Phase.CANCEL)
                 return
             answer = Forbidden(f"{self._label}: the server does not cancel this goal")
         error = answer
-        self._ros.deliver(lambda: self._goals.not_canceled(id, error))
-
-    def _check(self, now: float) -> None:
-        self._send_goal.expire(now)
-        self._cancel_goal.expire(now)
-        present = self._present_servers() if self._servers else frozenset()
-        for id, servers in list(self._servers.items()):
-            if not servers:
-                self._servers[id] = present
-            elif not servers & present:
-                self._forget(id)
-                self._fail(id, Lost(f"{self._label}: the server is gone, and its goal is aborted"))
-
-        for id in self._overdue(now)[:MAX_IN_FLIGHT]:
-            self._get_result.forget(self._results[id])
-            self._request_result(id)
+        self._goals.not_canceled(id, error)
 
     def _overdue(self, now: float) -> list[str]:
         """Return the goals that have ended, but whose result has not come though it was requested a while ago."""
@@ -185,10 +182,4 @@ class ActionClientInterface(RosInterface):
             self._get_result.forget(call)
 
     def _fail(self, id: str, error: RceError) -> None:
-        self._ros.deliver(lambda: self._goals.fail(id, error))
-
-    def _destroy(self) -> None:
-        for caller in (self._send_goal, self._get_result, self._cancel_goal):
-            caller.destroy()
-        for topic in (self._feedback, self._statuses):
-            self._ros.remove_waitable(topic)
+        self._goals.fail(id, error)

@@ -57,10 +57,7 @@ class _Goal:
 
 
 class ActionProviderInterface(RosInterface):
-    """Offers an action to nodes. A goal is aborted when the peer is gone; what fails is reported to the owner.
-
-    The ROS thread owns the goals.
-    """
+    """Offers an action to nodes. A goal is aborted when the peer is gone; what fails is reported to the owner."""
 
     def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
         super().__init__(spec, context)
@@ -70,7 +67,7 @@ class ActionProviderInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entities; the publisher of the status is the last, since clients see the server by it."""
         kind = action_class(self.spec.type, self._context.definitions)
-        await self._create(lambda: self._create_entities(kind))
+        self._create(lambda: self._create_entities(kind))
 
     def _create_entities(self, kind: type[Any]) -> None:
         ros, impl, action = self._ros, kind.Impl, self.spec.addr
@@ -87,41 +84,19 @@ class ActionProviderInterface(RosInterface):
         self._status = create(GoalStatusArray, part_of(action, "status"), STATUS_QOS)
         self._publish_status()
 
-    # in the loop
-
-    def receive(self, message: Message, link: Link) -> None:
-        """Pass on what became of a goal."""
-        self._ros.post(lambda: self._received(message))
-
-    def stopped(self) -> None:
-        """Abort the goals of the peer that is gone."""
-        self._ros.post(self._abort_all)
-
-    def tick(self, now: float) -> None:
-        """End what has timed out, and forget old results."""
-        self._ros.post(lambda: self._expire(now))
-
-    def close(self) -> None:
-        """Destroy the ROS entities."""
-        self._ros.post(self._destroy)
-
     def _ask(self, id: str, phase: Phase, payload: bytes = b"") -> None:
-        """Send a message to the peer; called in the ROS thread."""
+        """Send a message to the peer."""
         message = Message(self.id, id, payload, phase=phase)
-
-        def ask() -> None:
-            try:
-                self.request(message)
-            except (NotConnected, LimitExceeded) as error:
-                self._goal_failed(error)
-                self._ros.post(lambda: self._refused(id, phase))
-
-        self._ros.deliver(ask)
+        try:
+            self.request(message)
+        except (NotConnected, LimitExceeded) as error:
+            self._goal_failed(error)
+            self._refused(id, phase)
 
     def _goal_failed(self, error: RceError) -> None:
         self._report_once(type(error)(f"interface {self.spec.tag}: a goal of {self.spec.addr} failed: {error}"))
 
-    # in the ROS thread: requests of nodes
+    # requests of nodes
 
     def _goal_requested(self, header: Header, payload: bytes) -> None:
         id, goal = without_goal_id(payload)
@@ -174,16 +149,17 @@ class ActionProviderInterface(RosInterface):
             code = CancelGoal.Response.ERROR_GOAL_TERMINATED if known else CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
         self._cancel_goal.answer(header, serialize_message(CancelGoal.Response(return_code=code)))
 
-    # in the ROS thread: answers of the peer
+    # answers of the peer
 
-    def _received(self, message: Message) -> None:
+    def receive(self, message: Message, link: Link) -> None:
+        """Pass on what became of a goal."""
         id, phase = message.msg_id, message.phase
         goal = self._goals.get(id)
         if goal is None or goal.result:
             return  # it was given up
         if message.error and phase != Phase.CANCEL:
             error = error_of(message)
-            self._ros.deliver(lambda: self._goal_failed(error))
+            self._goal_failed(error)
             self._refused(id, Phase.GOAL)
         elif phase == Phase.CANCEL:
             self._cancel_answered(id, accepted=not message.error)
@@ -256,9 +232,10 @@ class ActionProviderInterface(RosInterface):
         statuses = [GoalStatus(goal_info=_info(id, goal.stamp), status=goal.status) for id, goal in known]
         self._status.publish(GoalStatusArray(status_list=statuses))
 
-    # in the ROS thread: ends
+    # ends
 
-    def _expire(self, now: float) -> None:
+    def tick(self, now: float) -> None:
+        """End what has timed out, and forget old results."""
         late = [
             (id, goal)
             for id, goal in self._goals.items()
@@ -276,16 +253,18 @@ class ActionProviderInterface(RosInterface):
         for each in [each for each in self._cancellations if each.until < now]:
             self._answer_cancel(each)
 
-    def _abort_all(self) -> None:
+    def stopped(self) -> None:
+        """Abort the goals of the peer that is gone."""
         running = [id for id, goal in self._goals.items() if not goal.result]
         for id in running:
             self._refused(id, Phase.GOAL)
         if running:
             self._report_from_ros(NotConnected, f"the connection ended with {len(running)} goals unfinished")
 
-    def _destroy(self) -> None:
+    def close(self) -> None:
+        """Destroy the ROS entities."""
         for service in (self._send_goal, self._get_result, self._cancel_goal):
-            self._ros.remove_waitable(service)
+            service.destroy()
         for publisher in (self._feedback, self._status):
             self._ros.node.destroy_publisher(publisher)
 

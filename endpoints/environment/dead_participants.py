@@ -4,7 +4,7 @@ A participant that ends in order says so to all others. For one that was killed,
 (RTPS 2.5: 8.5.3 participant discovery, 9.4 submessages, 9.6.2.4 ports, 9.6.4.9 status info). Fast DDS, which all ROS
 processes here use, puts the process id into the identifiers of participants, and an id of the host that it derives from
 the host's addresses. A participant that started while the host had other addresses than at the start of this process
-is taken for one of another host: its lease of 20 s decides. All functions run in the ROS thread.
+is taken for one of another host: its lease of 20 s decides.
 """
 
 from __future__ import annotations

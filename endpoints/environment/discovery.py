@@ -18,7 +18,7 @@ from rcl_interfaces.srv import GetParameterTypes
 from rclpy.serialization import serialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_services import RawClient
 
 SETTLING_TIME = 0.1  # seconds to wait for nodes without parameter services, which cannot be asked
@@ -34,12 +34,12 @@ Peers = Callable[[], list[TopicEndpointInfo]]
 
 
 def after_discovery(
-    ros: RosThread, peers: Peers, action: Callable[[], None], clock: Callable[[], float] = time.monotonic
+    ros: Ros, peers: Peers, action: Callable[[], None], clock: Callable[[], float] = time.monotonic
 ) -> None:
-    """Run `action` when nodes have discovered the subscriptions that this process has now; called in the ROS thread.
+    """Run `action` when nodes have discovered the subscriptions that this process has now.
 
     Args:
-        ros: The ROS thread.
+        ros: The ROS node.
         peers: Returns subscriptions or publishers of the nodes, which may not all be known at first.
         action: It runs after `LIMIT` at the latest.
         clock: Source of the time in seconds.
@@ -50,7 +50,7 @@ def after_discovery(
 class _Wait:
     """The processes that were asked, by the prefixes of their gids."""
 
-    def __init__(self, ros: RosThread, peers: Peers, action: Callable[[], None], clock: Callable[[], float]) -> None:
+    def __init__(self, ros: Ros, peers: Peers, action: Callable[[], None], clock: Callable[[], float]) -> None:
         self._ros = ros
         self._peers = peers
         self._action = action
@@ -78,7 +78,7 @@ class _Wait:
             self._ros.retry(self.proceed)
 
 
-def _services(ros: RosThread) -> dict[bytes, str]:
+def _services(ros: Ros) -> dict[bytes, str]:
     """Return a parameter service of each process, by the prefix of its gids."""
     names = [name for name, _ in ros.node.get_service_names_and_types() if name.endswith(SERVICE)]
     found = {}
@@ -91,7 +91,7 @@ def _services(ros: RosThread) -> dict[bytes, str]:
 class _Question:
     """An empty request to the parameter services of a node."""
 
-    def __init__(self, ros: RosThread, service: str, clock: Callable[[], float]) -> None:
+    def __init__(self, ros: Ros, service: str, clock: Callable[[], float]) -> None:
         self.sent = self.answered = False
         self._ros = ros
         self._clock = clock
@@ -109,4 +109,4 @@ class _Question:
 
     def end(self) -> None:
         """Remove the client."""
-        self._ros.remove_waitable(self._client)
+        self._client.destroy()

@@ -26,7 +26,7 @@ from endpoints.environment.parameters import Parameters, validate
 from endpoints.environment.prepared_node import Spare
 from endpoints.environment.process_environment import LOOPBACK, install_prefixes, node_variables
 from endpoints.environment.recorders import Recorders
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_graph import read_graph
 from endpoints.environment.secrets import Secrets
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
@@ -89,7 +89,7 @@ class Environment:
     def __init__(
         self,
         settings: Settings,
-        ros: RosThread,
+        ros: Ros,
         port: DataPort,
         report: ReportCall,
         log: OutputLog,
@@ -100,7 +100,7 @@ class Environment:
 
         Args:
             settings: Settings of the process.
-            ros: Thread of ROS, which `run` stops at the end.
+            ros: The ROS node, which `run` stops at the end.
             port: Data port of the process.
             report: Sends a call to the Master as soon as it can be reached.
             log: Log of what concerns users.
@@ -155,7 +155,7 @@ class Environment:
         finally:
             await asyncio.gather(self._nodes.stop_all(), self._recorders.stop_all())
             self._secrets.remove()
-            await self._ros.stop()
+            self._ros.close()
 
     # calls
 
@@ -225,10 +225,10 @@ class Environment:
         return Definitions(self._definitions.describe(call.type, call.sort))
 
     async def _read_graph(self, call: ReadGraph) -> RosGraph:
-        return await self._ros.run(lambda: read_graph(self._ros.node))
+        return read_graph(self._ros.node)
 
     async def _read_topics(self) -> dict[str, str]:
-        found = await self._ros.run(self._ros.node.get_topic_names_and_types)
+        found = self._ros.node.get_topic_names_and_types()
         return {name: types[0] for name, types in found}
 
     async def _read_asset(self, call: ReadAsset) -> Asset:
@@ -253,7 +253,7 @@ class Environment:
 
     def _of_nodes(self, report: NodeDied | Launched) -> None:
         if isinstance(report, NodeDied):
-            self._ros.post(self._tell_of_dead)
+            self._tell_of_dead()
         self._send_report(report)
 
     def _tell_of_dead(self) -> None:

@@ -14,12 +14,12 @@ from twisted.logger import Logger
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
 from endpoints.environment.definitions import InstalledTypes
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.service_slots import ServiceSlots
 from endpoints.environment.shared_subscription import SharedSubscriptions
 from endpoints.environment.shared_topics import SharedTopics
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.errors import InvalidRequest, RceError
+from rce.errors import InvalidRequest, LimitExceeded, RceError
 from rce.net.budget import MB, Budget
 from rce.spelling import with_article
 
@@ -33,7 +33,7 @@ W = TypeVar("W")
 class RosContext:
     """Parts of the endpoint that its interfaces use. `report` sends an error to the owner of an interface."""
 
-    ros: RosThread
+    ros: Ros
     hops: HopRecorder
     definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
@@ -62,20 +62,24 @@ class RosInterface(Interface):
         Raises:
             UnknownType: The type is not installed, or has no type support.
             InvalidRequest: `addr` is not a valid ROS name.
+            LimitExceeded: The environment has too many interfaces.
         """
         raise NotImplementedError
 
     def tick(self, now: float) -> None:
         """Do what is due; called once a second with the monotonic time."""
 
-    async def _create(self, create: Callable[[], W]) -> W:
+    def _create(self, create: Callable[[], W]) -> W:
         try:
-            return await self._ros.run(create)
+            return create()
         except (InvalidTopicNameException, InvalidServiceNameException, ValueError, _rclpy.RCLError) as error:
             problem = f"ROS rejects addr {self.spec.addr!r}: {' '.join(str(error).split())}"
             if not self.spec.addr:
                 problem = f"{with_article(self.spec.kind)} needs addr: a topic, service or action, such as /camera"
             raise InvalidRequest(f"interface {self.spec.tag}: {problem}", field="addr") from None
+        except OSError as error:  # each ROS entity needs file descriptors
+            problem = f"the environment has too many interfaces ({error.strerror})"
+            raise LimitExceeded(f"interface {self.spec.tag}: {problem}: remove some first") from None
 
     def _report_once(self, error: RceError) -> None:
         """Log and report an error, unless the same text was reported before."""
@@ -85,8 +89,8 @@ class RosInterface(Interface):
             self._context.report(self.spec, error)
 
     def _report_from_ros(self, kind: type[RceError], reason: str) -> None:
-        """Report an error once; called in the ROS thread."""
-        self._ros.deliver(lambda: self._report_once(kind(f"interface {self.spec.tag}: {reason}")))
+        """Report an error once."""
+        self._report_once(kind(f"interface {self.spec.tag}: {reason}"))
 
 
 def as_bytes(payload: Any) -> bytes:

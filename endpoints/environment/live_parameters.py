@@ -15,7 +15,7 @@ from twisted.logger import Logger
 
 from endpoints.environment.parameters import ros_form
 from endpoints.environment.prepared_node import NODE as PREPARED
-from endpoints.environment.ros import NODE, RosThread
+from endpoints.environment.ros import NODE, Ros
 from endpoints.environment.ros_services import RawClient
 from rce.control.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest, TimedOut
@@ -43,8 +43,8 @@ _fields = {
 class _Client:
     """Service client with message objects and futures, kept while its node exists."""
 
-    def __init__(self, ros: RosThread, kind: Any, name: str) -> None:
-        """Create the client; called in the ROS thread."""
+    def __init__(self, ros: Ros, kind: Any, name: str) -> None:
+        """Create the client."""
         self.raw = RawClient(ros, kind, name, self._answered)
         self._ros = ros
         self._kind = kind
@@ -60,11 +60,11 @@ class _Client:
         payload = serialize_message(request)
         try:
             async with asyncio.timeout(TIMEOUT):
-                while not await self._ros.run(self.raw.available):  # noqa: ASYNC110  # ROS has no event for it
+                while not self.raw.available():  # noqa: ASYNC110  # ROS has no event for it
                     await asyncio.sleep(POLL_INTERVAL)
         except TimeoutError:
             return None
-        self._ros.post(lambda: self._send(payload, answer))
+        self._send(payload, answer)
         try:
             async with asyncio.timeout(ANSWER_TIMEOUT):
                 return deserialize_message(await answer, self._kind.Response)
@@ -77,14 +77,14 @@ class _Client:
 
     def _answered(self, number: int, payload: bytes) -> None:
         waiting = self._waiting.pop(number, None)
-        if waiting is not None:
-            self._ros.deliver(lambda: None if waiting.done() else waiting.set_result(payload))
+        if waiting is not None and not waiting.done():
+            waiting.set_result(payload)
 
 
 class LiveParameters:
     """Sets parameters of the running nodes that declare them."""
 
-    def __init__(self, ros: RosThread, enclave: Callable[[str], str]) -> None:
+    def __init__(self, ros: Ros, enclave: Callable[[str], str]) -> None:
         """Set parameters of nodes, of which `enclave` returns the enclave by their tags."""
         self._ros = ros
         self._enclave = enclave
@@ -113,13 +113,13 @@ class LiveParameters:
         """Wait up to TIMEOUT for `starting` nodes; return the ROS names of the nodes of a tag, or of all nodes."""
         until = time.monotonic() + TIMEOUT
         while True:
-            nodes = await self._ros.run(lambda: self._find(tag))
+            nodes = self._find(tag)
             if {self._enclave(each) for each in starting} <= self._enclaves or time.monotonic() > until:
                 return nodes
             await asyncio.sleep(POLL_INTERVAL)
 
     def _find(self, tag: str) -> list[str]:
-        """Return the ROS names of nodes and create clients for them; called in the ROS thread."""
+        """Return the ROS names of nodes and create clients for them."""
         present = [
             (f"{namespace.rstrip('/')}/{name}", place)
             for name, namespace, place in self._ros.node.get_node_names_and_namespaces_with_enclaves()
@@ -128,7 +128,7 @@ class LiveParameters:
         self._enclaves = {place for _, place in present}
         for gone in set(self._clients) - {name for name, _ in present}:
             for client in self._clients.pop(gone):
-                self._ros.remove_waitable(client.raw)
+                client.raw.destroy()
         found = [name for name, place in present if not tag or place == self._enclave(tag)]
         for name in set(found) - set(self._clients):
             self._clients[name] = (

@@ -29,7 +29,7 @@ from rce.process import loop, malloc
 from rce.process.settings import load_or_exit
 
 if TYPE_CHECKING:
-    from endpoints.environment.ros import RosThread
+    from endpoints.environment.ros import Ros
 
 
 class Order(Struct, frozen=True):
@@ -64,18 +64,16 @@ def accept(order: Order) -> Settings:
     return settings
 
 
-async def join_domain(profile: Path) -> RosThread:
-    """Return a ROS thread that has joined the domain of this process, on a machine without network groups.
+def join_domain(profile: Path) -> Ros:
+    """Return a ROS node that has joined the domain of this process, on a machine without network groups.
 
     Args:
         profile: File for the profile of Fast DDS.
     """
-    from endpoints.environment.ros import RosThread
+    from endpoints.environment.ros import Ros
 
-    ros = RosThread(asyncio.get_running_loop())
     process_environment.use_profile(profile, SEGMENT)
-    await ros.start()
-    return ros
+    return Ros()
 
 
 @contextmanager
@@ -92,17 +90,17 @@ def profile_file() -> Iterator[Path]:
 async def serve(reactor: ReactorBase) -> None:
     """Wait for the order, then serve the environment until its end."""
     with profile_file() as profile:
-        ros = await join_domain(profile)
+        ros = join_domain(profile)
         spare = await prepared_node.start()  # it removes the profile when it has joined the domain with it
         try:
             line = await asyncio.to_thread(sys.stdin.buffer.readline)
             if not line:
-                await ros.stop()
+                ros.close()
                 return
             settings = accept(msgspec.json.decode(line, type=Order))
             fits = settings.shared_memory == SEGMENT and not settings.address
             if not fits:  # it has to join again with another profile
-                await ros.stop()
+                ros.close()
             await program.Endpoint(settings, spare, ros if fits else None).run(reactor)
         finally:
             await spare.discard()
@@ -111,7 +109,6 @@ async def serve(reactor: ReactorBase) -> None:
 def main() -> int:
     """Run the program; return its exit status."""
     load(os.environ.get("RCE_TYPESUPPORT", ""))
-    sys.setswitchinterval(program.SWITCH_INTERVAL)
 
     def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
         return serve(reactor)

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
 from endpoints.data.frames import Buffer
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 
 HEADER = b"\0\1\0\0"  # of CDR, little endian
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
@@ -39,17 +38,9 @@ def without_goal_id(payload: bytes) -> tuple[str, bytes]:
 
 
 class ActionTopic:
-    """Subscription to the feedback or the status of all goals of an action; `taken` gets the serialized messages.
+    """Subscription to the feedback or the status of all goals of an action; `taken` gets the serialized messages."""
 
-    All methods run in the ROS thread.
-    """
-
-    clients = services = events = 0
-    subscriptions = 1
-
-    def __init__(
-        self, ros: RosThread, kind: type[Any], name: str, qos: QoSProfile, taken: Callable[[bytes], None]
-    ) -> None:
+    def __init__(self, ros: Ros, kind: type[Any], name: str, qos: QoSProfile, taken: Callable[[bytes], None]) -> None:
         self._ros = ros
         self._kind = kind
         self._taken = taken
@@ -61,18 +52,14 @@ class ActionTopic:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
-        ros.add_waitable(self)
+        self._destroyed = False
+        self._messages = ros.listen(self._take, self._subscription.handle)
 
-    def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Add the subscription to the wait set."""
-        self._index = wait_set.add_subscription(self._subscription.handle)
-
-    def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Take the messages that have come."""
-        if wait_set.is_ready("subscription", self._index):
-            for _ in range(MAX_BATCH):
-                if not self._take_one():
-                    return
+    def _take(self) -> None:
+        for _ in range(MAX_BATCH):
+            if self._destroyed or not self._take_one():
+                return
+        self._messages.again()
 
     def take_all(self) -> None:
         """Take the messages that have come, before something that came after them is processed."""
@@ -87,4 +74,6 @@ class ActionTopic:
 
     def destroy(self) -> None:
         """Destroy the subscription."""
+        self._destroyed = True
+        self._ros.end(self._messages)
         self._ros.node.destroy_subscription(self._subscription)

@@ -12,7 +12,7 @@ from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
 
 
 def read_graph(node: Node) -> RosGraph:
-    """Return the graph as `node` sees it, without the prepared node; called in the ROS thread."""
+    """Return the graph as `node` sees it, without the prepared node."""
     topics = [
         RosName(name, types, node.count_publishers(name), node.count_subscribers(name))
         for name, types in node.get_topic_names_and_types()

@@ -1,4 +1,4 @@
-"""Publishers of serialized messages. All methods run in the ROS thread."""
+"""Publishers of serialized messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -15,8 +15,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from endpoints.data.frames import Buffer
 from endpoints.environment.discovery import after_discovery
 from endpoints.environment.qos import for_publisher, is_latched, mismatch
-from endpoints.environment.ros import RosThread
-from endpoints.environment.ros_topics import MAX_BATCH, Message, Topic, TopicEnd, ignore
+from endpoints.environment.ros import Ros
+from endpoints.environment.ros_topics import MAX_BATCH, Message, Topic, TopicEnd
 from rce.net.budget import INTERFACE
 from rce.protocol.messages.commands import DEEP
 
@@ -27,6 +27,11 @@ WINDOW = 32  # with keep_all: unacknowledged messages at which publishing waits
 PATIENCE, SHORT_PATIENCE = 10.0, 0.1  # seconds, with a history of `DEEP` or more messages, and with a shorter one
 LAST_MESSAGES = 1.0  # seconds that a publisher stays for messages that nodes have not got yet
 
+EVENTS = (
+    QoSPublisherEventType.RCL_PUBLISHER_MATCHED,
+    QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS,
+)
+NO_DEFAULTS = PublisherEventCallbacks(use_default_callbacks=False)
 _NO_TIME = Duration()
 
 
@@ -37,13 +42,12 @@ class RawPublisher(TopicEnd):
     DDS cannot address one subscription, so that is done only while no other subscription would get it twice.
 
     Attributes:
-        waiting: Messages to publish. The loop appends to the right, the ROS thread takes from the left and calls
-            `published` afterwards.
+        waiting: Messages to publish; see `flush`.
     """
 
     def __init__(
         self,
-        ros: RosThread,
+        ros: Ros,
         topic: Topic,
         published: Callable[[], None],
         lost: Callable[[int], None],
@@ -52,7 +56,7 @@ class RawPublisher(TopicEnd):
         """Create a publisher.
 
         Args:
-            ros: The ROS thread.
+            ros: The ROS node.
             topic: The topic.
             published: Called after messages were published.
             lost: Called with the number of messages that the middleware overwrites although a node that has not
@@ -72,16 +76,18 @@ class RawPublisher(TopicEnd):
         self._last: Buffer | None = None  # of the published messages
         self._subscribed: dict[bytes, bool] = {}  # subscriptions by gid; True if they got the last message
         self._create(for_publisher(topic.qos, self._subscriptions()))
-        ros.add_waitable(self)
         self.peers_changed()
 
     def _create(self, profile: QoSProfile) -> None:
-        events = PublisherEventCallbacks(matched=ignore, incompatible_qos=ignore, use_default_callbacks=False)
         self._publisher: Publisher[Message] = self.ros.node.create_publisher(
-            self.topic.kind, self.topic.name, profile, event_callbacks=events
+            self.topic.kind, self.topic.name, profile, event_callbacks=NO_DEFAULTS
         )
         self._profile = profile
-        self.handlers = self._publisher.event_handlers
+        self.events = self.ros.listen_to_events(self.changed, self._publisher.handle, EVENTS)
+
+    def _end(self) -> None:
+        self.ros.end(self.events)
+        self.ros.node.destroy_publisher(self._publisher)
 
     def _subscriptions(self) -> list[TopicEndpointInfo]:
         return self.without_own(self.ros.node.get_subscriptions_info_by_topic(self.topic.name))
@@ -97,7 +103,7 @@ class RawPublisher(TopicEnd):
             if (gid := bytes(info.endpoint_gid))
         }
         if is_latched(profile) and not is_latched(self._profile):
-            self.ros.node.destroy_publisher(self._publisher)
+            self._end()
             self._create(profile)
             self._subscribed = dict.fromkeys(self._subscribed, False)  # the new publisher has published nothing
         self.check([(self._profile, info.qos_profile) for info in subscriptions])
@@ -147,10 +153,10 @@ class RawPublisher(TopicEnd):
             self._subscribed = dict.fromkeys(self._subscribed, True)
             self._count(len(payload))
             if len(payload) >= LARGE:
-                self.ros.post(self.flush)
+                self.ros.call_soon(self.flush)
                 break
         else:
-            self.ros.post(self.flush)
+            self.ros.call_soon(self.flush)
         self._published()
 
     def _count(self, size: int) -> None:
@@ -192,7 +198,7 @@ class RawPublisher(TopicEnd):
             if self._clock() < until and (self.waiting or not self._publisher.wait_for_all_acked(_NO_TIME)):
                 self.ros.retry(end)
             else:
-                self.ros.remove_waitable(self)
+                self.destroy()
 
         end()
 
@@ -202,4 +208,4 @@ class RawPublisher(TopicEnd):
         self._matched = self._settled = False
         self.waiting.clear()
         self._last = None
-        self.ros.node.destroy_publisher(self._publisher)
+        self._end()

@@ -1,4 +1,4 @@
-"""Service clients and servers with serialized requests and responses. All methods run in the ROS thread.
+"""Service clients and servers with serialized requests and responses.
 
 rclpy's services need message objects; the conversion from and to bytes costs 10 µs for small messages.
 """
@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service import Service
 
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from rce.errors import ConversionError, RceError, TimedOut
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
@@ -36,10 +36,7 @@ def _object(payload: bytes, kind: type[Any], what: str) -> Any:
 class RawClient:
     """Client of a service that can have many calls in flight."""
 
-    subscriptions = services = events = 0
-    clients = 1
-
-    def __init__(self, ros: RosThread, kind: ServiceType, name: str, answered: Callable[[int, bytes], None]) -> None:
+    def __init__(self, ros: Ros, kind: ServiceType, name: str, answered: Callable[[int, bytes], None]) -> None:
         """Create the client; `answered` is called with the number of a call and its response."""
         self._ros = ros
         self._kind = kind
@@ -47,7 +44,8 @@ class RawClient:
         self._answered = answered
         self._client: Client[Any, Any] = ros.node.create_client(kind, name, qos_profile=QOS)
         self._handle = self._client.handle
-        ros.add_waitable(self)
+        self._destroyed = False
+        self._responses = ros.listen(self._take, self._handle)
 
     def available(self) -> bool:
         """Return True if a server of the service is there."""
@@ -68,34 +66,29 @@ class RawClient:
         number: int = self._handle.send_request(_object(request, self._kind.Request, f"the request to {self._name}"))
         return number
 
-    def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Add the client to the wait set."""
-        self._index = wait_set.add_client(self._handle)
-
-    def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Take the responses that have come."""
-        if not wait_set.is_ready("client", self._index):
-            return
+    def _take(self) -> None:
         for _ in range(MAX_BATCH):
             header, response = self._handle.take_response(self._kind.Response)
             if header is None:
                 return
             self._answered(header.request_id.sequence_number, serialize_message(response))
+            if self._destroyed:
+                return
+        self._responses.again()
 
     def destroy(self) -> None:
         """Destroy the client."""
+        self._destroyed = True
+        self._ros.end(self._responses)
         self._ros.node.destroy_client(self._client)
 
 
 class RawService:
     """Server of a service that answers requests in any order, at any time."""
 
-    subscriptions = clients = events = 0
-    services = 1
-
     def __init__(
         self,
-        ros: RosThread,
+        ros: Ros,
         kind: ServiceType,
         name: str,
         requested: Callable[[Header, bytes], None],
@@ -116,7 +109,7 @@ class RawService:
             kind, name, lambda request, response: response, qos_profile=QOS
         )
         self._handle = self._service.handle
-        ros.add_waitable(self)
+        self._requests = ros.listen(self._take, self._handle)
 
     def answer(self, header: Header, response: bytes) -> None:
         """Send a response.
@@ -149,21 +142,18 @@ class RawService:
             return False
         return True
 
-    def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Add the server to the wait set."""
-        self._index = wait_set.add_service(self._handle)
-
-    def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Take the requests that have come."""
-        if not wait_set.is_ready("service", self._index):
-            return
+    def _take(self) -> None:
         for _ in range(MAX_BATCH):
             request, header = self._handle.service_take_request(self._kind.Request)
             if header is None:
                 return
             self._requested(header.request_id, serialize_message(request))
+            if self._destroyed:
+                return
+        self._requests.again()
 
     def destroy(self) -> None:
         """Destroy the server."""
         self._destroyed = True
+        self._ros.end(self._requests)
         self._ros.node.destroy_service(self._service)

@@ -1,4 +1,4 @@
-"""Subscriptions to serialized messages, and what they share with publishers. All methods run in the ROS thread."""
+"""Subscriptions to serialized messages, and what they share with publishers."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from endpoints.environment.qos import describe, for_subscription, is_latched, mismatch
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
+from endpoints.environment.ros_listener import Listener
 from rce.protocol.messages import Qos
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
@@ -21,11 +21,16 @@ MAX_BATCH_BYTES = 64 * 1024  # a message with which they are reached is the last
 # Fast DDS unmatches an entity that ends before it removes it from the graph cache, in a thread of its own.
 GRAPH_DELAY = 0.2  # seconds after an event until the graph cache is right, on a busy machine too
 
+EVENTS = (
+    QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED,
+    QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+)
+NO_DEFAULTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 Message = Any  # an instance of a generated message class; their module is known only at run time
 Taken = tuple[bytes, bytes]
 """A message, and the gid of its publisher."""
 Report = Callable[[str], None]
-"""Reports an error to the owner of the interface; called in the ROS thread."""
+"""Reports an error to the owner of the interface."""
 
 
 @dataclass(frozen=True)
@@ -42,36 +47,27 @@ class Topic:
 
 
 class TopicEnd:
-    """Base of publishers and subscriptions: handles their QoS events."""
+    """Base of publishers and subscriptions, which handles their QoS events.
 
-    subscriptions = clients = services = 0
-    events = 2
+    Attributes:
+        events: The listener of these events.
+    """
 
-    def __init__(self, ros: RosThread, topic: Topic) -> None:
+    events: Listener
+
+    def __init__(self, ros: Ros, topic: Topic) -> None:
         self.ros = ros
         self.topic = topic
         self.destroyed = False
         self._looks_again = False  # at the graph, after GRAPH_DELAY
         self._reported: set[str] = set()
-        self.handlers: list[EventHandler] = []
 
-    def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Add the event handlers to the wait set."""
-        for handler in self.handlers:
-            handler.add_to_wait_set(wait_set)
-
-    def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Process the events that are ready."""
-        changed = False
-        for handler in self.handlers:
-            if handler.is_ready(wait_set):
-                handler.take_data()
-                changed = True
-        if changed:
-            self.peers_changed()
-            if not self._looks_again:
-                self._looks_again = True
-                self.ros.call_later(GRAPH_DELAY, self._look_again)
+    def changed(self) -> None:
+        """Handle an event."""
+        self.peers_changed()
+        if not self._looks_again:
+            self._looks_again = True
+            self.ros.call_later(GRAPH_DELAY, self._look_again)
 
     def _look_again(self) -> None:
         self._looks_again = False
@@ -108,15 +104,13 @@ class RawSubscription(TopicEnd):
         had_publishers: True if the topic had publishers when the subscription was created.
     """
 
-    subscriptions = 1
-
     def __init__(
-        self, ros: RosThread, topic: Topic, taken: Callable[[Sequence[Taken]], bool], lost: Callable[[int], None]
+        self, ros: Ros, topic: Topic, taken: Callable[[Sequence[Taken]], bool], lost: Callable[[int], None]
     ) -> None:
         """Create a paused subscription.
 
         Args:
-            ros: The ROS thread.
+            ros: The ROS node.
             topic: The topic.
             taken: Called with messages that came together; returns False to pause.
             lost: Called with the number of messages that the middleware dropped.
@@ -131,7 +125,6 @@ class RawSubscription(TopicEnd):
         publishers = self.publishers()
         self.had_publishers = bool(publishers)
         self._create(for_subscription(topic.qos, publishers))
-        ros.add_waitable(self)
         self.check([(info.qos_profile, self._profile) for info in self.publishers()])
 
     @property
@@ -140,12 +133,19 @@ class RawSubscription(TopicEnd):
         return is_latched(self._profile)
 
     def _create(self, profile: QoSProfile) -> None:
-        events = SubscriptionEventCallbacks(matched=ignore, incompatible_qos=ignore, use_default_callbacks=False)
         self._subscription: Subscription[Message] = self.ros.node.create_subscription(
-            self.topic.kind, self.topic.name, ignore, profile, event_callbacks=events, raw=True
+            self.topic.kind, self.topic.name, ignore, profile, event_callbacks=NO_DEFAULTS, raw=True
         )
         self._profile = profile
-        self.handlers = self._subscription.event_handlers
+        self._messages = self.ros.listen(self._take_some, self._subscription.handle)
+        self.events = self.ros.listen_to_events(self.changed, self._subscription.handle, EVENTS)
+        if not self._active:
+            self.pause()
+
+    def _end(self) -> None:
+        self.ros.end(self._messages)
+        self.ros.end(self.events)
+        self.ros.node.destroy_subscription(self._subscription)
 
     def publishers(self) -> list[TopicEndpointInfo]:
         """Return the publishers of the topic that are not of this process."""
@@ -162,7 +162,7 @@ class RawSubscription(TopicEnd):
             # Set before _drain: the messages taken there do not come again, and must be kept if they are latched.
             self._profile = profile
             self._drain()
-            self.ros.node.destroy_subscription(self._subscription)
+            self._end()
             self._create(profile)
         self.check([(info.qos_profile, self._profile) for info in publishers])
 
@@ -174,51 +174,47 @@ class RawSubscription(TopicEnd):
         while self._started and not self.latched and self._next() is not None:
             pass
         self._counted.clear()
-        self._started = self._active = True
+        self._started = True
+        self.resume()
 
     def resume(self) -> None:
         """Take messages again, including those that came since `pause`."""
         self._active = True
+        self.events.resume()
+        self._messages.resume()
 
     def pause(self) -> None:
         """Leave messages in the middleware: it keeps the newest `depth`, or with `keep_all` makes publishers wait."""
         self._active = False
+        self.events.pause()
+        self._messages.pause()
 
-    def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Add the subscription and its events to the wait set, unless it is paused.
-
-        Events wait too, because Fast DDS has one condition for them and for messages: messages that are left there
-        would wake the thread again and again.
-        """
-        self._index = None
-        if self._active:
-            super().add(wait_set)
-            self._index = wait_set.add_subscription(self._subscription.handle)
-
-    def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Process events and take messages."""
-        if self._index is None:
-            return
-        super().take(wait_set)  # publishers first: they decide whether messages are latched
-        if wait_set.is_ready("subscription", self._index):
-            self._take_batch()
+    def _take_some(self) -> None:
+        self.events.run()  # publishers first: they decide whether messages are latched
+        if self._active and self._take_batch():
+            self._messages.again()
 
     def _drain(self) -> None:
         while self._active and self._take_batch():
             pass
 
     def _take_batch(self) -> bool:
-        """Take a few messages, and hand them on together; return False if there were none."""
+        """Take a few messages, and hand them on together; return True if there may be more."""
         batch: list[Taken] = []
         size = count = 0
-        while count < MAX_BATCH and size < MAX_BATCH_BYTES and (found := self._next()) is not None:
+        more = True
+        while more and count < MAX_BATCH and size < MAX_BATCH_BYTES:
+            found = self._next()
+            if found is None:
+                more = False
+                break
             count += 1
             if found[0]:
                 batch.append(found)
                 size += len(found[0])
         if batch and not self._taken(batch):
-            self._active = False
-        return count > 0
+            self.pause()
+        return more
 
     def _next(self) -> Taken | None:
         """Return the next message and the gid of its publisher; None if there is none.
@@ -244,8 +240,8 @@ class RawSubscription(TopicEnd):
     def destroy(self) -> None:
         """Destroy the subscription."""
         self.destroyed = True
-        self.ros.node.destroy_subscription(self._subscription)
+        self._end()
 
 
 def ignore(_: object) -> None:
-    """Do nothing about an event, which `TopicEnd.take` handles."""
+    """Do nothing about a message, which a `RawSubscription` takes."""

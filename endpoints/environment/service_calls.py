@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from endpoints.environment.discovery import SETTLING_TIME
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_services import RawClient, ServiceType
 from endpoints.environment.service_slots import Slots
 from rce.errors import ConversionError, NotFound, RceError, TimedOut
@@ -23,7 +23,7 @@ class ServiceCall:
 
     Attributes:
         request: The serialized request.
-        done: Called in the ROS thread with the serialized response, or with the error.
+        done: Called with the serialized response, or with the error.
         sent: Called when the request has been handed to ROS.
         since: Monotonic time at which the call was made.
     """
@@ -35,10 +35,10 @@ class ServiceCall:
 
 
 class ServiceCaller:
-    """Calls of one service. All methods run in the ROS thread.
+    """Calls of one service.
 
     Args:
-        ros: The ROS thread.
+        ros: The ROS node.
         kind: Class of the service.
         name: Name of the service.
         label: Name of the service for errors.
@@ -46,7 +46,7 @@ class ServiceCaller:
             there is no timeout, and any number in flight.
     """
 
-    def __init__(self, ros: RosThread, kind: ServiceType, name: str, label: str, slots: Slots | None) -> None:
+    def __init__(self, ros: Ros, kind: ServiceType, name: str, label: str, slots: Slots | None) -> None:
         self._ros = ros
         self._label = label
         self._shared = self._slots = slots
@@ -89,7 +89,7 @@ class ServiceCaller:
             self._end(number)
         if self._slots is not None:
             self._slots.leave(self._send)
-        self._ros.remove_waitable(self._client)
+        self._client.destroy()
 
     def _send(self) -> None:
         while self._waiting:

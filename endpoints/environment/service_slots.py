@@ -1,7 +1,7 @@
 """Places for requests at the servers of services, shared by all interfaces of an environment.
 
 A ROS 2 server queues 10 requests and loses all beyond. So few of them are on their way to a server at once, however
-many robots call it. All methods run in the ROS thread.
+many robots call it.
 """
 
 from __future__ import annotations

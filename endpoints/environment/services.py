@@ -29,7 +29,7 @@ class ServiceClientInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entity."""
         kind = service_class(self.spec.type, self._context.definitions)
-        self._caller = await self._create(lambda: self._create_caller(kind))
+        self._caller = self._create(lambda: self._create_caller(kind))
 
     def _create_caller(self, kind: ServiceType) -> ServiceCaller:
         name = self.spec.addr
@@ -48,36 +48,31 @@ class ServiceClientInterface(RosInterface):
             lambda answer: self._answered(message, answer),
             lambda: self.hops.delivered(self.id, message),
         )
-        self._ros.post(lambda: self._caller.call(call))
+        self._caller.call(call)
 
     def tick(self, now: float) -> None:
         """End requests that have timed out."""
-        self._ros.post(lambda: self._caller.expire(now))
+        self._caller.expire(now)
 
     def close(self) -> None:
         """Destroy the client; its requests get no answer."""
-        self._ros.post(lambda: self._caller.destroy())
+        self._caller.destroy()
 
     @property
     def _label(self) -> str:
         return f"interface {self.spec.tag}: service {self.spec.addr}"
 
     def _answered(self, request: Message, answer: bytes | RceError) -> None:
-        """Pass an answer on; called in the ROS thread."""
-        since = time.perf_counter()
+        """Pass an answer on."""
         if isinstance(answer, RceError):
-            self._ros.deliver(lambda: self._refuse(request, answer))
-        else:
-            self._ros.deliver(lambda: self._respond(request, answer, since))
-
-    # in the loop
-
-    def _respond(self, request: Message, payload: bytes, since: float) -> None:
+            self._refuse(request, answer)
+            return
+        since = time.perf_counter()
         self._answered_one(request)
         if request.source in self.peers:
             try:
-                answer = Message(self.id, request.msg_id, payload, destination=request.source, entered_at=since)
-                self.request(answer)
+                response = Message(self.id, request.msg_id, answer, destination=request.source, entered_at=since)
+                self.request(response)
             except LimitExceeded as error:
                 self._report_once(error)
                 self.fail(request, error)
@@ -110,14 +105,8 @@ class ServiceProviderInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entity."""
         kind = service_class(self.spec.type, self._context.definitions)
-        self._service = await self._create(
-            lambda: RawService(
-                self._ros,
-                kind,
-                self.spec.addr,
-                lambda header, payload: self._ros.deliver(lambda: self._forward(header, payload)),
-                self._report_from_ros,
-            )
+        self._service = self._create(
+            lambda: RawService(self._ros, kind, self.spec.addr, self._forward, self._report_from_ros)
         )
 
     def _forward(self, header: Header, payload: bytes) -> None:
@@ -137,10 +126,10 @@ class ServiceProviderInterface(RosInterface):
         elif message.error:
             self._request_failed(error_of(message))
         else:
-            self._ros.post(lambda: self._respond(header, message))
+            self._respond(header, message)
 
     def _respond(self, header: Header, message: Message) -> None:
-        """Send a response; called in the ROS thread."""
+        """Send a response."""
         try:
             self._service.answer(header, as_bytes(message.payload))
             self.hops.delivered(self.id, message)
@@ -165,4 +154,4 @@ class ServiceProviderInterface(RosInterface):
 
     def close(self) -> None:
         """Destroy the server."""
-        self._ros.post(lambda: self._ros.remove_waitable(self._service))
+        self._service.destroy()

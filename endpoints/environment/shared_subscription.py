@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from secrets import token_bytes, token_hex
 from time import perf_counter
 from typing import Protocol
@@ -17,7 +17,7 @@ from typing import Protocol
 from endpoints.data.frames import MAX_SENDERS, Buffer, Message
 from endpoints.data.link import Link
 from endpoints.environment.discovery import after_discovery
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_topics import RawSubscription, Taken, Topic
 from endpoints.environment.shared_topics import SharedTopics, topic_key
 from rce.control.calls.endpoints import InterfaceSpec
@@ -26,9 +26,6 @@ from rce.net.budget import INTERFACE, Budget
 from rce.protocol.messages import Qos
 from rce.protocol.messages.commands import SHALLOW
 
-MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
-MAX_UNHANDLED_SMALL = 32  # of these, while they have at most SMALL bytes together
-SMALL = 64 * 1024
 MAX_LATCHED = 100  # publishers of a latched topic whose last messages are kept for late robots
 
 
@@ -49,8 +46,8 @@ class Member(Protocol):
         """Report an error to the owner of the interface."""
 
 
-Create = Callable[[Callable[[], RawSubscription]], Awaitable[RawSubscription]]
-"""Runs a function in the ROS thread; raises InvalidRequest for what ROS refuses."""
+Create = Callable[[Callable[[], RawSubscription]], RawSubscription]
+"""Runs a function; raises InvalidRequest for what ROS refuses."""
 
 
 class SharedSubscription:
@@ -66,20 +63,17 @@ class SharedSubscription:
 
     subscription: RawSubscription
 
-    def __init__(self, ros: RosThread, spec: InterfaceSpec, qos: Qos, keep: int | None, within: Budget) -> None:
+    def __init__(self, ros: Ros, spec: InterfaceSpec, qos: Qos, keep: int | None, within: Budget) -> None:
         self.id = token_bytes(16)
         self.spec = spec
         self.budget = Budget(INTERFACE, within, spare=1)
         self.members: list[Member] = []
-        self.opening: asyncio.Future[None] | None = None
         self._discovery: asyncio.Future[None] | None = None  # done when the publishers have discovered it
         self._ros = ros
         self._qos = qos
         self._keep = keep
         self._links: set[Link] = set()
         self._reasons: list[str] = []  # for which a node and this subscription do not match
-        self._taken = self._taken_bytes = 0  # counted by the ROS thread
-        self._handled = self._handled_bytes = 0  # counted by the loop
         prefix = token_hex(8)
         self._names = (f"{prefix}{number:016x}" for number in itertools.count())  # ids of messages
         self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
@@ -87,33 +81,21 @@ class SharedSubscription:
         self._latched_depth = (spec.qos.depth or SHALLOW) if spec.qos.durability == "transient_local" else 1
 
     async def open(self, kind: type[object], create: Create) -> None:
-        """Create the ROS entity; a member that comes meanwhile waits for it too."""
-        if self.opening is None:
-            await self._create(kind, create)
-        else:
-            await asyncio.shield(self.opening)
+        """Create the ROS entity for the first member, and wait until its publishers have discovered it."""
+        if not hasattr(self, "subscription"):
+            topic = Topic(kind, self.spec.addr, self._qos, self._mismatch)
+            self.subscription = create(lambda: RawSubscription(self._ros, topic, self._take, self.evicted))
+            if self.subscription.had_publishers:
+                self._discovery = self._discovered()
         if self._discovery is not None:
             # Messages that they publish before they discover the subscription would be lost after the status is true.
             await asyncio.shield(self._discovery)
-
-    async def _create(self, kind: type[object], create: Create) -> None:
-        self.opening = asyncio.get_running_loop().create_future()
-        topic = Topic(kind, self.spec.addr, self._qos, self._mismatch)
-        try:
-            self.subscription = await create(lambda: RawSubscription(self._ros, topic, self._take, self._lost))
-        except BaseException as error:
-            self.opening.set_exception(error if isinstance(error, RceError) else InvalidRequest("not created"))
-            self.opening.exception()  # nobody else may wait for it
-            raise
-        if self.subscription.had_publishers:
-            self._discovery = self._discovered()
-        self.opening.set_result(None)
 
     def _discovered(self) -> asyncio.Future[None]:
         """Return a future that is done when the publishers have discovered the subscription."""
         done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         ros, publishers = self._ros, self.subscription.publishers
-        ros.post(lambda: after_discovery(ros, publishers, lambda: ros.deliver(lambda: done.set_result(None))))
+        after_discovery(ros, publishers, lambda: done.set_result(None))
         return done
 
     def add(self, member: Member) -> None:
@@ -129,7 +111,7 @@ class SharedSubscription:
             gone.discard(self.id)
         before, self._links = bool(self._links), links
         if bool(links) != before:
-            self._ros.post(self.subscription.start if links else self.subscription.pause)
+            (self.subscription.start if links else self.subscription.pause)()
 
     def send_latched(self, member: Member, peer: bytes) -> None:
         """Send the kept messages of latched publishers to a new peer."""
@@ -155,40 +137,13 @@ class SharedSubscription:
         """Destroy the subscription."""
         for link in self._links:
             link.discard(self.id)
-        self._ros.post(lambda: self._ros.remove_waitable(self.subscription))
+        self.subscription.destroy()
 
     # --- from ROS -----------------------------------------------------------------------------------------------------
 
     def _take(self, batch: Sequence[Taken]) -> bool:
-        """Pass messages to the loop; return False to pause until the loop has caught up. Called in the ROS thread."""
-        self._taken += len(batch)
-        self._taken_bytes += sum(len(payload) for payload, _ in batch)
+        """Send messages to the links; return False to pause until the links have room."""
         since = perf_counter()
-        small = self._taken_bytes - self._handled_bytes <= SMALL
-        more = self._taken - self._handled < (MAX_UNHANDLED_SMALL if small else MAX_UNHANDLED)
-        self._ros.deliver(lambda: self._handle(batch, more, since))
-        return more
-
-    def _lost(self, count: int) -> None:
-        """Count messages that the middleware dropped; called in the ROS thread."""
-        self._ros.deliver(lambda: self.evicted(count))
-
-    def _mismatch(self, reason: str) -> None:
-        """Report a node that does not match; called in the ROS thread."""
-
-        def report() -> None:
-            self._reasons.append(reason)
-            for member in self.members:
-                self._refuse(member, reason)
-
-        self._ros.deliver(report)
-
-    def _refuse(self, member: Member, reason: str) -> None:
-        member.refused(InvalidRequest(f"interface {member.spec.tag}: {reason}"))
-
-    def _handle(self, batch: Sequence[Taken], more: bool, since: float) -> None:
-        self._handled += len(batch)
-        self._handled_bytes += sum(len(payload) for payload, _ in batch)
         links = tuple(self._links) if len(batch) > 1 else ()
         for link in links:
             link.gather()
@@ -198,8 +153,20 @@ class SharedSubscription:
         finally:
             for link in links:
                 link.flush()
-        if not more:
-            self._resume()
+        room = self._wait_for_room()
+        if room is None:
+            return True
+        room.add_done_callback(lambda _: self._resume())
+        return False
+
+    def _mismatch(self, reason: str) -> None:
+        """Report a node that does not match."""
+        self._reasons.append(reason)
+        for member in self.members:
+            self._refuse(member, reason)
+
+    def _refuse(self, member: Member, reason: str) -> None:
+        member.refused(InvalidRequest(f"interface {member.spec.tag}: {reason}"))
 
     def _handle_one(self, payload: bytes, publisher: bytes, since: float) -> None:
         if self.subscription.latched:
@@ -220,7 +187,7 @@ class SharedSubscription:
         if room is not None:
             room.add_done_callback(lambda _: self._resume())
         elif self._links:
-            self._ros.post(self.subscription.resume)
+            self.subscription.resume()
 
     # --- to the links -------------------------------------------------------------------------------------------------
 
@@ -313,7 +280,7 @@ class SharedSubscriptions:
     A subscription that must not drop messages (`keep_all`) has one member: it waits for the slowest link.
     """
 
-    def __init__(self, ros: RosThread, shared: SharedTopics, budget: Budget) -> None:
+    def __init__(self, ros: Ros, shared: SharedTopics, budget: Budget) -> None:
         self._ros = ros
         self._shared = shared
         self._budget = budget

@@ -43,7 +43,7 @@ class PublisherInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entity."""
         topic = self._topic()
-        self._publisher = await self._create(lambda: RawPublisher(self._ros, topic, self._published, self._lost))
+        self._publisher = self._create(lambda: RawPublisher(self._ros, topic, self._published, self.evicted))
 
     def _topic(self) -> Topic:
         """Return the topic that the spec describes; raise UnknownType if there is no such message type."""
@@ -54,12 +54,8 @@ class PublisherInterface(RosInterface):
             lambda reason: self._report_from_ros(InvalidRequest, reason),
         )
 
-    def _lost(self, count: int) -> None:
-        """Count messages that the middleware dropped; called in the ROS thread."""
-        self._ros.deliver(lambda: self.evicted(count))
-
     def receive(self, message: Message, link: Link) -> None:
-        """Queue a message for the ROS thread to publish."""
+        """Publish a message, or let it wait."""
         payload = message.payload
         if len(payload) < 4 or payload[:2] not in ENCAPSULATIONS or message.error:
             self._report_once(ConversionError(f"interface {self.spec.tag}: a message is not serialized as CDR"))
@@ -68,6 +64,9 @@ class PublisherInterface(RosInterface):
         waiting = self._publisher.waiting
         waiting.append(bytes(payload) if isinstance(payload, memoryview) else payload)
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
+        self._publisher.flush()
+        if not waiting:
+            self.hops.delivered(self.id, message)
         if self.keep is not None:
             self._received[-1] += 1
             self._shorten(self.keep)
@@ -75,7 +74,6 @@ class PublisherInterface(RosInterface):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
             link.pause(self._room)
-        self._ros.post(lambda: self._flush(message))
 
     def tick(self, now: float) -> None:
         """Forget messages that came long before any node subscribes."""
@@ -83,17 +81,11 @@ class PublisherInterface(RosInterface):
             self._shorten(max(SHALLOW, sum(self._received)))
         self._received.append(0)
 
-    def _flush(self, message: Message) -> None:
-        """Publish what waits; called in the ROS thread."""
-        self._publisher.flush()
-        if not self._publisher.waiting:
-            self.hops.delivered(self.id, message)
-
     def _too_large(self, waiting: deque[Buffer]) -> bool:
         """Return True if more than one message waits and their bytes exceed those of an interface."""
         if len(waiting) < 2 or len(waiting) * self._largest <= INTERFACE:
             return False
-        return sum(map(len, list(waiting))) > INTERFACE  # a copy: the ROS thread takes messages meanwhile
+        return sum(map(len, waiting)) > INTERFACE
 
     def _shorten(self, keep: int) -> None:
         """Remove the oldest messages beyond `keep`, or beyond the bytes of an interface.
@@ -103,10 +95,7 @@ class PublisherInterface(RosInterface):
         waiting = self._publisher.waiting
         removed = 0
         while len(waiting) > keep or self._too_large(waiting):
-            try:
-                waiting.popleft()
-            except IndexError:  # the ROS thread has published it meanwhile
-                break
+            waiting.popleft()
             removed += 1
         if self._publisher.has_subscription:
             self.dropped += removed
@@ -114,11 +103,7 @@ class PublisherInterface(RosInterface):
             self.unheard += removed
 
     def _published(self) -> None:
-        """Handle that messages were published; called in the ROS thread."""
-        if self._room is not None:
-            self._ros.deliver(self._has_room)
-
-    def _has_room(self) -> None:
+        """Handle that messages were published."""
         if self._room is not None and len(self._publisher.waiting) < HIGH_WATER:
             self._room.set_result(None)
             self._room = None
@@ -128,7 +113,7 @@ class PublisherInterface(RosInterface):
         if self._room is not None:
             self._room.set_result(None)
             self._room = None
-        self._ros.post(lambda: self._publisher.finish())
+        self._publisher.finish()
 
 
 class SubscriberInterface(RosInterface):

@@ -19,7 +19,7 @@ from twisted.internet.protocol import Factory
 from twisted.logger import Logger
 
 from rce.errors import RceError, describe_os_error, port_unavailable
-from rce.process import logs, metrics
+from rce.process import logs, metrics, open_files
 from rce.process.reactor import UvloopReactor
 
 log = Logger()
@@ -40,7 +40,7 @@ def install(loop: asyncio.AbstractEventLoop) -> ReactorBase:
 def run(main: Main, *, quiet: bool = False) -> int:
     """Run `main` to its end and return the exit status of the process.
 
-    Logs go to standard error, if `quiet` only warnings and errors.
+    Logs go to standard error, if `quiet` only warnings and errors. The limit of open files is raised.
 
     The first SIGINT or SIGTERM cancels `main`, which cleans up in its `finally`; later signals are ignored, because
     Ctrl-C in a terminal is often followed by a SIGTERM from the parent process.
@@ -50,6 +50,7 @@ def run(main: Main, *, quiet: bool = False) -> int:
         logged as one line, other exceptions with their traceback.
     """
     logs.start(quiet=quiet)
+    open_files.raise_limit()
     Factory.noisy = False
     gc.freeze()  # what is loaded stays: full collections are shorter, and less garbage comes together before the next
     loop = uvloop.new_event_loop()

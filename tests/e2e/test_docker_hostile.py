@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from containers.endpoint import OPEN_FILES
 from tests.support.e2e import hostile_programs as programs
 from tests.support.e2e.real_platform import USER, RealPlatform, containers
 from tests.support.e2e.traffic import Echo, next_event
@@ -111,7 +112,7 @@ async def test_writable_directories_are_limited(siege: Siege) -> None:
 async def test_open_files_are_limited(siege: Siege) -> None:
     found = await siege.attack(programs.OPEN_FILES)
     assert found["reason"] == "Too many open files"
-    assert found["files"] <= 4096
+    assert found["files"] <= OPEN_FILES
 
 
 async def test_log_is_bounded(siege: Siege) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from containers.endpoint import OPEN_FILES
 from containers.kubernetes import process
 from containers.kubernetes.process import first_process, is_alive, used
 from rce.errors import StartFailed
@@ -80,7 +81,7 @@ def test_files_are_limited_as_the_user_of_the_process(child: int) -> None:
     process._in_child(lambda: process._limit_files(child, 12345), "not limited")
     lines = Path(f"/proc/{child}/limits").read_text().splitlines()
     (files,) = [line.split()[3:5] for line in lines if line.startswith("Max open files")]
-    assert files == ["4096", "4096"]
+    assert files == [str(OPEN_FILES)] * 2
 
 
 def test_failure_in_a_child_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ pytest.importorskip("docker", reason="nodes of the tests need docker-py: pip ins
 
 import yaml
 
-from containers.endpoint import environment_user
+from containers.endpoint import OPEN_FILES, environment_user
 from provisioning.kubernetes import Values, manifests
 from rce.protocol.slots import MB
 from tests.support.containers.engine_contract import Endings, opened, with_options
@@ -80,7 +80,7 @@ def check_confinement(process: int) -> None:
     assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
     assert int(status["Uid"].split()[0]) == environment_user("ann/map")
     lines = Path(f"/proc/{process}/limits").read_text().splitlines()
-    assert ["4096", "4096"] in [line.split()[3:5] for line in lines if line.startswith("Max open files")]
+    assert [str(OPEN_FILES)] * 2 in [line.split()[3:5] for line in lines if line.startswith("Max open files")]
     assert "64" in group_files(process, "pids.max")
     mounts = [line.split() for line in Path(f"/proc/{process}/mounts").read_text().splitlines()]
     assert [options.split(",")[0] for _, place, _, options, *_ in mounts if place in ("/", "/run/rce")] == ["ro", "ro"]

@@ -1,4 +1,4 @@
-"""Interfaces in the robot's own ROS, with a fake of the ROS thread."""
+"""Interfaces in the robot's own ROS, with a fake of the ROS node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from endpoints.bridge.local_ros import CLOUD, CloudLink, LocalRos
 from endpoints.data.frames import Message
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, UnknownType
 from rce.net.outbox import Owner
@@ -67,7 +67,7 @@ class DroppingLink(CloudLink):
 
 @pytest.fixture
 async def local() -> AsyncIterator[LocalRos]:
-    made = LocalRos(cast(RosThread, None), [])
+    made = LocalRos(cast(Ros, None), [])
     yield made
     made.close()
 
@@ -125,7 +125,7 @@ async def test_link_always_has_room() -> None:
 
 
 def test_interfaces_process_timeouts_once_a_second(hand: HandTurnedLoop) -> None:
-    local = hand.do(lambda: LocalRos(cast(RosThread, None), []))
+    local = hand.do(lambda: LocalRos(cast(Ros, None), []))
 
     async def add() -> RosInterface:
         return await local.add_interface(Recorder, "a/B", "/scan", DroppingLink())

@@ -1,4 +1,4 @@
-"""A real Environment endpoint with a Master and a robot of the test, or its ROS thread alone, shared by a module."""
+"""A real Environment endpoint with a Master and a robot of the test, or its ROS node alone, shared by a module."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPath
 
 @pytest.fixture(scope="module")
 async def world(running_reactor: ReactorBase) -> AsyncIterator[RosWorld]:
-    """A ROS thread in this process, with a node of another process."""
+    """A ROS node in this process, with a node of another process."""
     pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
     from tests.support.endpoints.ros_world import ros_world
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import select
 import threading
 import uuid
 from collections.abc import AsyncIterator
@@ -13,7 +14,6 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 pytest.importorskip("test_msgs", reason="needs ros-test-msgs: pip install '.[dev]'")
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from test_msgs.action import Fibonacci
@@ -87,19 +87,14 @@ async def test_feedback_that_waits_together_with_the_result_comes_before_it(worl
     interface = await interface_of(ActionClientInterface, world, name, [])
     peer = Peer(interface)
 
-    def wait_for_the_result() -> None:  # in the ROS thread, which takes nothing meanwhile
-        wait_set = _rclpy.WaitSet(0, 0, 0, 1, 0, 0, world.ros._handle)
-        wait_set.clear_entities()
-        wait_set.add_client(interface._get_result._client._handle)
-        server.begin.set()
-        wait_set.wait(int(LIMIT * 1e9))
-
     async with spinning(world.other):
         peer.send(uuid.uuid4().hex, Phase.GOAL, goal(count))
         await peer.until(Phase.ACCEPTED)
-        while not await world.ros.run(lambda: bool(interface._get_result._in_flight)):
-            pass  # the result has not been requested yet
-        await world.ros.run(wait_for_the_result)
+        while not interface._get_result._in_flight:  # noqa: ASYNC110
+            await asyncio.sleep(0)  # until the result is requested
+        server.begin.set()
+        result = interface._get_result._client._responses._descriptor
+        assert select.select([result], [], [], LIMIT)[0]  # the loop takes nothing meanwhile
         phases = [(await peer.next()).phase for _ in range(count + 1)]
         assert phases == [Phase.FEEDBACK] * count + [Phase.SUCCEEDED]
         interface.close()

@@ -42,15 +42,15 @@ class Waiting:
     @classmethod
     async def begin(cls, world: RosWorld, topic: str) -> Waiting:
         made = cls(world, topic)
-        await world.ros.run(lambda: after_discovery(world.ros, made._nodes, made._end, lambda: made.now))
+        after_discovery(world.ros, made._nodes, made._end, lambda: made.now)
         return made
 
     def _nodes(self) -> list[TopicEndpointInfo]:
-        self._world.ros.deliver(self.looked.set)
+        self.looked.set()
         return self.unknown + self._world.ros.node.get_subscriptions_info_by_topic(self.topic)
 
     def _end(self) -> None:
-        self._world.ros.deliver(self.over.set)
+        self.over.set()
 
     async def end(self) -> None:
         """Let the request be sent, and wait for the end."""
@@ -83,7 +83,7 @@ async def test_node_that_has_answered_sends_its_next_message_to_earlier_subscrip
     def create() -> Any:
         return world.ros.node.create_subscription(String, f"{topic}/answers", lambda message: None, 10)
 
-    subscription = await world.ros.run(create)
+    subscription = create()
     async with spinning(node):
         await (await Waiting.begin(world, topic)).end()
         publisher = node.create_publisher(String, f"{topic}/answers", 10)
@@ -140,7 +140,7 @@ async def test_nodes_that_are_not_known_yet_are_given_a_pause(world: RosWorld, n
     """A node answers, and the services of another one are not known yet."""
     async with spinning(node):
         waiting = await Waiting.begin(world, topic)
-        (info,) = await world.ros.run(lambda: world.ros.node.get_subscriptions_info_by_topic(topic))
+        (info,) = world.ros.node.get_subscriptions_info_by_topic(topic)
         info.endpoint_gid = [1] * 16
         waiting.unknown = [info]
         await waiting.lasts()

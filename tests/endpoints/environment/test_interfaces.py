@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 
 import msgspec
@@ -15,17 +16,16 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from endpoints.data.frames import Message
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import MAX_REPORTED, RosInterface, as_bytes
-from endpoints.environment.ros import Waitable
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.errors import ConversionError, InvalidRequest, NotFound, RceError
+from rce.errors import ConversionError, InvalidRequest, LimitExceeded, NotFound, RceError
 from tests.support.endpoints.fake_ros import InstantRos
 
 SPEC = InterfaceSpec("0a" * 16, "ann/env", "tag", "PublisherInterface", "a/B", "a b")
 
 
 class Plain(RosInterface):
-    async def create(self, make: Callable[[], Waitable]) -> Waitable:
-        return await self._create(make)
+    def create(self, make: Callable[[], str]) -> str:
+        return self._create(make)
 
     def report(self, error: RceError) -> None:
         self._report_once(error)
@@ -60,32 +60,40 @@ def interface(reports: list[RceError]) -> Plain:
     ],
 )
 async def test_name_that_ros_rejects_is_invalid_request(interface: Plain, error: Exception) -> None:
-    def fail() -> Waitable:
+    def fail() -> str:
         raise error
 
     with pytest.raises(
         InvalidRequest, match=r"interface tag: ROS rejects addr 'a b': .*must not contain spaces"
     ) as got:
-        await interface.create(fail)
+        interface.create(fail)
     assert got.value.info.field == "addr"
     assert "\n" not in str(got.value)
 
 
 async def test_missing_name_is_invalid_request() -> None:
-    def fail() -> Waitable:
+    def fail() -> str:
         raise InvalidTopicNameException("", "must not be empty", 0)
 
     plain = Plain(msgspec.structs.replace(SPEC, addr=""), InstantRos().context(lambda *_: None))
     with pytest.raises(InvalidRequest, match="interface tag: a PublisherInterface needs addr: a topic"):
-        await plain.create(fail)
+        plain.create(fail)
+
+
+async def test_interface_without_a_descriptor_is_one_too_many(interface: Plain) -> None:
+    def fail() -> str:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with pytest.raises(LimitExceeded, match="too many interfaces"):
+        interface.create(fail)
 
 
 async def test_other_errors_are_passed_on(interface: Plain) -> None:
-    def fail() -> Waitable:
+    def fail() -> str:
         raise MemoryError
 
     with pytest.raises(MemoryError):
-        await interface.create(fail)
+        interface.create(fail)
 
 
 def test_same_error_is_reported_once(interface: Plain, reports: list[RceError]) -> None:

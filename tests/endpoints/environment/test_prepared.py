@@ -53,9 +53,9 @@ async def test_domain_is_joined_before_the_environment_is_known(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")
     monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")
-    ros = await join_domain(tmp_path / "fastdds.xml")
+    ros = join_domain(tmp_path / "fastdds.xml")
     try:
-        assert await ros.run(lambda: ros.node.get_name()) == NODE
+        assert ros.node.get_name() == NODE
         assert os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] == str(tmp_path / "fastdds.xml")
     finally:
-        await ros.stop()
+        ros.close()

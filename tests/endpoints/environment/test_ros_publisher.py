@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from endpoints.environment import ros_publisher
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_publisher import LAST_MESSAGES, PATIENCE, SHORT_PATIENCE, WINDOW, RawPublisher
 from endpoints.environment.ros_topics import Topic
 from rce.net.budget import INTERFACE
@@ -38,7 +38,7 @@ class Node:
         self.created = 0
         self.published: list[bytes] = []
         self.acknowledges = True
-        self.publisher = Mock(event_handlers=[])
+        self.publisher = Mock()
         self.publisher.handle.publish_raw = self.published.append
         self.publisher.get_subscription_count.return_value = 1
         self.publisher.wait_for_all_acked = lambda timeout: self.acknowledges
@@ -57,27 +57,22 @@ class Node:
         self.publisher.get_subscription_count.return_value = count
 
 
-class Ros(InstantRos):
-    """ROS thread with that node; posted actions run when the one that posts them is done."""
+class FakeRos(InstantRos):
+    """ROS with that node; what shall run soon runs when the test says so."""
 
     prefix = b"own"
 
     def __init__(self) -> None:
         super().__init__()
         self.node = Node()
-        self.posted: list[Callable[[], None]] = []
+        self.soon: list[Callable[[], None]] = []
         self.later: list[Callable[[], None]] = []
 
     def call_later(self, seconds: float, action: Callable[[], None]) -> None:
         self.later.append(action)
 
-    def post(self, action: Callable[[], None]) -> None:
-        self.posted.append(action)
-
-    def add_waitable(self, waitable: object) -> None: ...
-
-    def remove_waitable(self, waitable: Any) -> None:
-        waitable.destroy()
+    def call_soon(self, action: Callable[[], None]) -> None:
+        self.soon.append(action)
 
 
 class Discovery:
@@ -109,10 +104,10 @@ class World:
     def __init__(self, qos: Qos) -> None:
         self.now = 0.0
         self.lost = 0
-        self.ros = Ros()
+        self.ros = FakeRos()
         self.node = self.ros.node
         topic = Topic(String, "/topic", qos, print)
-        self.publisher = RawPublisher(cast(RosThread, self.ros), topic, lambda: None, self.lose, lambda: self.now)
+        self.publisher = RawPublisher(cast(Ros, self.ros), topic, lambda: None, self.lose, lambda: self.now)
 
     def lose(self, count: int) -> None:
         self.lost += count
@@ -130,8 +125,8 @@ class World:
     def proceed(self) -> None:
         """Let the publisher do what it can."""
         self.publisher.flush()
-        while self.ros.posted:
-            self.ros.posted.pop(0)()
+        while self.ros.soon:
+            self.ros.soon.pop(0)()
 
 
 @pytest.mark.parametrize(("qos", "most"), [(Qos(), DEEP), (Qos(depth=3), 3), (Qos(history="keep_all"), WINDOW)])
@@ -228,9 +223,7 @@ def test_restarted_node_gets_last_message_though_graph_cache_lists_the_ended_one
     world.publisher.peers_changed()
     world.publish(1)
     world.node.subscriptions = [subscription("before"), subscription("after")]
-    handler = Mock()
-    world.publisher.handlers = [handler]
-    world.publisher.take(Mock())
+    world.publisher.events.run()
     assert len(world.node.published) == 1
     world.node.subscriptions = [subscription("after")]
     for action in world.ros.later:
@@ -240,8 +233,7 @@ def test_restarted_node_gets_last_message_though_graph_cache_lists_the_ended_one
 
 def test_publisher_that_was_destroyed_does_not_look_at_the_graph_again() -> None:
     world = World(Qos())
-    world.publisher.handlers = [Mock()]
-    world.publisher.take(Mock())
+    world.publisher.events.run()
     world.publisher.destroy()
     world.node.subscriptions = [subscription("latched")]
     world.node.subscriptions[0].qos_profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

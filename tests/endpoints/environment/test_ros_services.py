@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from functools import partial
 from typing import Any
 
 import pytest
@@ -36,28 +35,28 @@ class Pair:
 
     async def open(self) -> None:
         ros = self._ros
-        self.client = await ros.run(lambda: RawClient(ros, SetBool, "/raw/flip", self._answered))
-        assert not await ros.run(self.client.available), "there is no server yet"
-        self.service = await ros.run(lambda: RawService(ros, SetBool, "/raw/flip", self._requested, self._lost))
+        self.client = RawClient(ros, SetBool, "/raw/flip", self._answered)
+        assert not self.client.available(), "there is no server yet"
+        self.service = RawService(ros, SetBool, "/raw/flip", self._requested, self._lost)
 
     def _answered(self, number: int, payload: bytes) -> None:
-        self._ros.deliver(lambda: self.responses.put_nowait((number, payload)))
+        self.responses.put_nowait((number, payload))
 
     def _requested(self, header: Header, payload: bytes) -> None:
-        self._ros.deliver(lambda: self.requests.put_nowait((header, payload)))
+        self.requests.put_nowait((header, payload))
 
     def _lost(self, kind: type[RceError], reason: str) -> None:
-        self._ros.deliver(lambda: self.lost.put_nowait(kind(reason)))
+        self.lost.put_nowait(kind(reason))
 
     async def call(self, payload: bytes) -> int:
-        return await self._ros.run(lambda: self.client.call(payload))
+        return self.client.call(payload)
 
     async def answer(self, header: Header, payload: bytes) -> None:
-        await self._ros.run(lambda: self.service.answer(header, payload))
+        self.service.answer(header, payload)
 
     async def close(self) -> None:
         for each in (self.client, self.service):
-            await self._ros.run(partial(self._ros.remove_waitable, each))
+            each.destroy()
 
 
 @pytest.fixture
@@ -101,9 +100,9 @@ async def test_payload_of_another_type_is_refused(pair: Pair, payload: bytes) ->
 
 
 async def test_service_that_is_gone_is_not_available(pair: Pair, world: RosWorld) -> None:
-    await world.ros.run(lambda: world.ros.remove_waitable(pair.service))
+    pair.service.destroy()
     await world.until(lambda: not pair.client.available())
-    pair.service = await world.ros.run(lambda: RawService(world.ros, SetBool, "/raw/flip", pair._requested, pair._lost))
+    pair.service = RawService(world.ros, SetBool, "/raw/flip", pair._requested, pair._lost)
 
 
 async def test_response_is_sent_again_until_ros_knows_its_reader(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,11 +129,11 @@ async def test_response_without_reader_is_reported(
     # Its requests match the server's reader; the responses that it wants do not match the server's writer. Client and
     # server share a node, so that DDS matches both at once.
     ros, durable = world.ros, QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    client = await ros.run(lambda: ros.node.create_client(SetBool, "/raw/flip", qos_profile=durable))
-    await ros.run(lambda: client.call_async(SetBool.Request(data=True)))
+    client = ros.node.create_client(SetBool, "/raw/flip", qos_profile=durable)
+    client.call_async(SetBool.Request(data=True))
     header, _ = await asyncio.wait_for(pair.requests.get(), LIMIT)
     await pair.answer(header, response("nobody reads this"))
     error = await asyncio.wait_for(pair.lost.get(), LIMIT)
     assert isinstance(error, TimedOut)
     assert str(error) == "ROS has not found the client to which /raw/flip should respond"
-    await ros.run(lambda: ros.node.destroy_client(client))
+    ros.node.destroy_client(client)

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from endpoints.environment import service_calls
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.service_calls import TIMEOUT, ServiceCall, ServiceCaller
 from endpoints.environment.service_slots import MAX_IN_FLIGHT, Slots
 from rce.errors import NotFound, RceError, TimedOut
@@ -35,7 +35,7 @@ def caller(
 
     monkeypatch.setattr(service_calls, "RawClient", client)
     slots = None if endless else slots or Slots()
-    return ServiceCaller(cast(RosThread, service), None, "/name", "service /name", slots)
+    return ServiceCaller(cast(Ros, service), None, "/name", "service /name", slots)
 
 
 def make_calls(calling: ServiceCaller, count: int) -> list[Answer]:

@@ -14,7 +14,7 @@ from endpoints.data.frames import Message
 from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import LoopLink
 from endpoints.environment import service_calls
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.service_calls import TIMEOUT, ServiceCaller
 from endpoints.environment.service_slots import MAX_IN_FLIGHT, Slots
 from endpoints.environment.services import ServiceClientInterface
@@ -43,7 +43,7 @@ async def parts(monkeypatch: pytest.MonkeyPatch) -> tuple[ServiceClientInterface
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
     interface = ServiceClientInterface(spec, service.context())
     monkeypatch.setattr(service_calls, "RawClient", lambda *arguments: service)
-    interface._caller = ServiceCaller(cast(RosThread, service), None, "/name", "service /name", Slots())
+    interface._caller = ServiceCaller(cast(Ros, service), None, "/name", "service /name", Slots())
     interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), lambda message: None)
     return interface, service, robot
 

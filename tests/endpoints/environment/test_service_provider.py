@@ -24,7 +24,7 @@ SPEC = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceProviderInterface", "
 
 
 class Service(InstantRos):
-    """Fake of the ROS thread and of the server in it, and of the robot at the other side of the link."""
+    """Fake of the ROS node and of the server in it, and of the robot at the other side of the link."""
 
     def __init__(self) -> None:
         super().__init__()

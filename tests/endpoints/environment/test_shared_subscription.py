@@ -16,15 +16,9 @@ from endpoints.data.frames import MAX_SENDERS, Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
 from endpoints.environment import shared_subscription
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from endpoints.environment.ros_topics import RawSubscription
-from endpoints.environment.shared_subscription import (
-    MAX_UNHANDLED,
-    MAX_UNHANDLED_SMALL,
-    SMALL,
-    SharedSubscription,
-    SharedSubscriptions,
-)
+from endpoints.environment.shared_subscription import SharedSubscription, SharedSubscriptions
 from endpoints.environment.shared_topics import SharedTopics
 from endpoints.environment.topics import SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec
@@ -48,6 +42,7 @@ class Line:
         self.discarded: list[bytes] = []
         self.gathering = False
         self.together: list[int] = []
+        self.room: asyncio.Future[None] | None = None
 
     def send(self, message: Message, keep: int | None, owner: object) -> int:
         self.sent.append(message)
@@ -56,7 +51,7 @@ class Line:
         return self.drops
 
     def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
-        return None
+        return self.room
 
     def gather(self) -> None:
         self.gathering = True
@@ -75,12 +70,12 @@ class Bench:
     def __init__(self) -> None:
         self.ros = InstantRos()
         self.reports: list[RceError] = []
-        self.subscriptions = SharedSubscriptions(cast(RosThread, self.ros), SharedTopics(), Budget(100 * MB))
+        self.subscriptions = SharedSubscriptions(cast(Ros, self.ros), SharedTopics(), Budget(100 * MB))
         self.entities: list[Mock] = []
         report: Callable[[InterfaceSpec, RceError], None] = lambda _, error: self.reports.append(error)  # noqa: E731
         self.context = Mock(hops=HopRecorder(), budget=None, subscriptions=self.subscriptions, report=report)
 
-    async def create(self, _: Callable[[], RawSubscription]) -> RawSubscription:
+    def create(self, _: Callable[[], RawSubscription]) -> RawSubscription:
         self.entities.append(Mock(latched=False, had_publishers=False))
         return cast(RawSubscription, self.entities[-1])
 
@@ -100,16 +95,23 @@ def publish(shared: SharedSubscription, payload: bytes, publisher: bytes = b"p")
     shared._take([(payload, publisher)])
 
 
-async def test_more_small_messages_than_large_ones_wait_for_the_loop() -> None:
-    for size, most in ((SMALL // MAX_UNHANDLED_SMALL, MAX_UNHANDLED_SMALL), (SMALL, MAX_UNHANDLED)):
-        bench = Bench()
-        shared = (await bench.interface(1))._subscription
-        delivered = list[Callable[[], None]]()
-        bench.ros.deliver = delivered.append
-        assert [shared._take([(bytes(size), b"p")]) for _ in range(most)] == [True] * (most - 1) + [False]
-        for handle in delivered:
-            handle()
-        assert shared._take([(bytes(size), b"p")]), "the loop has caught up"
+async def test_messages_stay_in_ros_until_the_links_have_room_if_none_may_be_dropped() -> None:
+    bench, line = Bench(), Line()
+    interface = await bench.interface(1, Qos(history="keep_all"))
+    connect(interface, 1, line)
+    (entity,), shared = bench.entities, interface._subscription
+    assert shared._take([(b"x", b"p")])
+    line.room = full = asyncio.get_running_loop().create_future()
+    assert not shared._take([(b"y", b"p")])
+    line.room = still_full = asyncio.get_running_loop().create_future()
+    full.set_result(None)
+    await asyncio.sleep(0)
+    entity.resume.assert_not_called()
+    line.room = None
+    still_full.set_result(None)
+    await asyncio.sleep(0)
+    entity.resume.assert_called_once()
+    assert [each.payload for each in line.sent] == [b"x", b"y"]
 
 
 async def test_messages_that_came_together_go_out_together() -> None:
@@ -194,7 +196,7 @@ async def test_drops_are_counted_for_the_interfaces_behind_the_link() -> None:
     connect(other, 2, free)
     publish(one._subscription, b"x")
     assert (one.dropped, other.dropped) == (2, 0)
-    one._subscription._lost(3)
+    one._subscription.evicted(3)
     assert (one.dropped, other.dropped) == (5, 3)
 
 
@@ -250,7 +252,7 @@ async def test_every_member_waits_until_the_publishers_have_discovered_the_subsc
     monkeypatch.setattr(shared_subscription, "after_discovery", lambda ros, peers, action: discovered.append(action))
     bench = Bench()
 
-    async def create(_: Callable[[], RawSubscription]) -> RawSubscription:
+    def create(_: Callable[[], RawSubscription]) -> RawSubscription:
         return cast(RawSubscription, Mock(latched=False, had_publishers=True))
 
     monkeypatch.setattr(bench, "create", create)
@@ -267,17 +269,14 @@ async def test_every_member_waits_until_the_publishers_have_discovered_the_subsc
 
 
 async def test_subscription_that_ros_refuses_fails_for_all_who_wait_and_is_tried_again() -> None:
-    bench, refused = Bench(), asyncio.Event()
+    bench = Bench()
     accept = bench.create
 
-    async def refuse(_: Any) -> RawSubscription:
-        await refused.wait()
+    def refuse(_: Any) -> RawSubscription:
         raise InvalidRequest("no such name")
 
     bench.create = refuse  # type: ignore[method-assign]
     joins = [asyncio.create_task(bench.interface(number)) for number in range(2)]
-    await asyncio.sleep(0)
-    refused.set()
     assert [str(each) for each in await asyncio.gather(*joins, return_exceptions=True)] == ["no such name"] * 2
     bench.create = accept  # type: ignore[method-assign]
     await bench.interface(3)

@@ -1,4 +1,4 @@
-"""A ROS thread, and a node of another process for it, in a ROS domain of their own."""
+"""A ROS node, and a node of another process for it, in a ROS domain of their own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from endpoints.environment.ros import RosThread
+from endpoints.environment.ros import Ros
 from tests.support.domains import domain
 
 NODE = "tested_endpoint"
@@ -18,16 +18,16 @@ LIMIT = 60.0  # seconds until a test gives up
 
 
 class RosWorld:
-    """The thread, and `other`: a node that it does not know, which has a context of its own."""
+    """The node, and `other`: one that it does not know, which has a context of its own."""
 
-    def __init__(self, ros: RosThread, other: Node) -> None:
+    def __init__(self, ros: Ros, other: Node) -> None:
         self.ros = ros
         self.other = other
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait for a condition of the ROS thread for which ROS has no event."""
+        """Wait for a condition for which ROS has no event."""
         async with asyncio.timeout(LIMIT):
-            while not await self.ros.run(condition):  # noqa: ASYNC110
+            while not condition():  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
 
 
@@ -38,11 +38,10 @@ async def ros_world() -> AsyncIterator[RosWorld]:
     context = Context()
     rclpy.init(context=context, args=[], domain_id=number)
     other = rclpy.create_node("other", context=context, enable_rosout=False, start_parameter_services=False)
-    ros = RosThread(asyncio.get_running_loop(), NODE)
+    ros = Ros(NODE)
     try:
-        await ros.start()
         yield RosWorld(ros, other)
     finally:
-        await ros.stop()
+        ros.close()
         other.destroy_node()
         context.try_shutdown()
