@@ -91,9 +91,8 @@ class Ros:
 
     def end(self, listener: Listener) -> None:
         """End a listener, before its entities are destroyed."""
-        if listener in self._listeners:
-            self._listeners.remove(listener)
-            listener.close()
+        self._listeners.discard(listener)
+        listener.close()
 
     def call_soon(self, action: Action) -> None:
         """Run `action` after others have had their turn."""

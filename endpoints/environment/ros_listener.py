@@ -45,6 +45,8 @@ def attempt(action: Action) -> None:
 class Listener:
     """Runs an action in the loop when entities have got messages, or events, since it was run the last time.
 
+    All methods do nothing once it is closed.
+
     Args:
         loop: The asyncio loop.
         action: What to run. What it leaves in the entities does not run it again; see `again`.
@@ -55,6 +57,7 @@ class Listener:
         self._loop = loop
         self._action = action
         self._entities = entities
+        self._closed = False
         self._descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.resume()
         for entity in entities:
@@ -62,14 +65,18 @@ class Listener:
 
     def pause(self) -> None:
         """Do not run the action until `resume`."""
-        self._loop.remove_reader(self._descriptor)
+        if not self._closed:
+            self._loop.remove_reader(self._descriptor)
 
     def resume(self) -> None:
         """Run the action for what has come since `pause`, and from now on."""
-        self._loop.add_reader(self._descriptor, self.run)
+        if not self._closed:
+            self._loop.add_reader(self._descriptor, self.run)
 
     def run(self) -> None:
         """Run the action now, if something has come."""
+        if self._closed:
+            return
         try:
             os.eventfd_read(self._descriptor)
         except BlockingIOError:
@@ -78,14 +85,18 @@ class Listener:
 
     def again(self) -> None:
         """Run the action once more, after others have had their turn."""
-        os.eventfd_write(self._descriptor, 1)
+        if not self._closed:
+            os.eventfd_write(self._descriptor, 1)
 
     def close(self) -> None:
         """End; must be called before the entities are destroyed."""
+        if self._closed:
+            return
         for entity in self._entities:
             self._set(entity, None)
         self._entities = ()
         self.pause()
+        self._closed = True
         os.close(self._descriptor)
 
     def _set(self, entity: Entity, listener: ctypes.c_void_p | None) -> None:

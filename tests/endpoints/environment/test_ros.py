@@ -72,17 +72,6 @@ async def test_publishers_of_the_process_are_known_by_prefix(ros: Ros) -> None:
     assert own == {NODE}
 
 
-async def test_listener_that_was_ended_is_not_ended_again(ros: Ros) -> None:
-    listener = ros.listen(print)
-    ros.end(listener)
-    before = open_files()
-    reader, writer = os.pipe()  # one of them has the number of the listener's descriptor
-    ros.end(listener)
-    assert open_files() == before + 2
-    os.close(reader)
-    os.close(writer)
-
-
 async def test_close_ends_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     own = Ros("short_lived")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, cast
 
@@ -109,9 +110,16 @@ async def test_paused_listener_runs_for_what_came_meanwhile(ears: Ears) -> None:
     assert ears.taken == ["meanwhile"]
 
 
-async def test_closed_listener_does_not_run(ears: Ears) -> None:
-    ears.listen().close()
-    ears.listeners.clear()
+async def test_closed_listener_does_not_run_and_uses_no_descriptor(ears: Ears) -> None:
+    listener = ears.listen()
+    listener.close()
+    reader, writer = os.pipe()  # one of them has the number that the listener's descriptor had
+    os.write(writer, b"12345678")
+    for method in (listener.resume, listener.run, listener.again, listener.pause, listener.close):
+        method()
+    assert os.read(reader, 100) == b"12345678"
+    os.close(reader)
+    os.close(writer)
     await ears.matched()
     ears.publisher.publish(String(data="unheard"))
     await asyncio.sleep(PAUSE)
