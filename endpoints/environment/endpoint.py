@@ -155,6 +155,8 @@ class Environment:
         finally:
             await asyncio.gather(self._nodes.stop_all(), self._recorders.stop_all())
             self._secrets.remove()
+            for link in list(self._switchboard.links):  # what came over them now would find no ROS
+                self._switchboard.close_link(link)
             self._ros.close()
 
     # calls

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 import signal
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,8 +14,12 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from twisted.internet.base import ReactorBase
 
+from endpoints.data.frames import Message
 from rce.control.calls.endpoints import NodeSpec, StartNode
+from rce.errors import NotConnected
 from tests.support.endpoints.environment_driver import LIMIT, NAME, FakeMaster, driven, is_alive, wait_for_line
+
+REQUEST = b"\0\1\0\0\1\0\0\0"  # SetBool, serialized
 
 
 async def start_node(master: FakeMaster) -> int:
@@ -58,3 +64,18 @@ async def test_refused_endpoint_ends_with_its_nodes(reactor: ReactorBase, tmp_pa
         (await master.joined).close()
         assert await asyncio.wait_for(process.wait(), LIMIT) == 1
         await process_ended(pid)
+
+
+async def test_requests_that_come_while_it_stops_are_dropped_quietly(reactor: ReactorBase, tmp_path: Path) -> None:
+    async with driven(reactor, tmp_path) as (master, process):
+        robot = await master.interface("ServiceClientInterface", "std_srvs/SetBool", "/nobody")
+        ended = asyncio.create_task(process.wait())
+        process.terminate()
+        async with asyncio.timeout(LIMIT):
+            while not ended.done():
+                with suppress(NotConnected):
+                    robot.request(Message(robot.id, secrets.token_hex(16), REQUEST))
+                await asyncio.sleep(0.001)
+        log = (tmp_path / "internal.log").read_text()
+        assert "stopping on SIGTERM" in log
+        assert "defect" not in log
